@@ -1,0 +1,134 @@
+"""The Measurement: one textured 3D view of a part on one camera's own pixel grid, and its HDF5 file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish import storage
+from planish.rig import Camera, Rig
+
+SCHEMA = "planish.measurement/1"
+
+Map = NDArray[np.float32]
+
+#: Why a pixel has no point: bit i of `Measurement.rejected` is the i-th name. 0 = a valid point.
+REJECTIONS = (
+    "masked",  # excluded by the capture's mask or volume
+    "dark",  # fringe modulation below what its noise allows to decode
+    "saturated",  # fewer than three unsaturated phase steps
+    "code",  # Gray code or phase hierarchy contradict each other
+    "unmatched",  # no point of equal phase on the epipolar line: hidden from the other camera
+    "edge",  # next to a jump in phase or depth: the pixel mixes two surfaces
+    "mismatch",  # the rays miss each other, or the projector's ray contradicts the point
+    "isolated",  # a small island without support from its neighbours
+)
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Variance of one image's grey value I: `offset` + `slope` * I [grey levels squared]."""
+
+    offset: float
+    slope: float
+
+    def variance(self, image: Map) -> Map:
+        """Return the variance (H, W) [grey levels squared] of a single image with grey values (H, W)."""
+        return np.maximum(np.float32(self.offset) + np.float32(self.slope) * image, np.float32(1e-12))
+
+
+@dataclass(frozen=True)
+class View:
+    """What one camera saw, on its own pixel grid, in grey levels of the original images.
+
+    Parameters
+    ----------
+    white : ndarray (H, W) or None
+        Image under blank projection, dark image subtracted where the sequence has one.
+    mean : ndarray (H, W) or None
+        Mean of the fringe images (the texture with the least noise).
+    modulation : ndarray (H, W) or None
+        Amplitude of the fringes (texture under projector light alone).
+    mean_images : int
+        Number of images behind `mean`.
+    noise : NoiseModel
+        Noise of a single image; that of `mean` is `mean_images` times less in variance.
+    saturation : float
+        Grey level at and above which a pixel counts as saturated.
+    """
+
+    white: Map | None = field(metadata={"unit": "grey level"})
+    mean: Map | None = field(metadata={"unit": "grey level"})
+    modulation: Map | None = field(metadata={"unit": "grey level"})
+    mean_images: int
+    noise: NoiseModel
+    saturation: float
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A textured 3D measurement, organised on the pixel grid of one camera: one pixel = one point = one grey value.
+
+    Parameters
+    ----------
+    name : str
+        Unique name within a run.
+    organised_on : "A" or "B"
+        The camera whose pixel grid (H, W) organises the maps.
+    rig : Rig
+        Calibration; `points_sensor` are in its sensor frame.
+    points_sensor : ndarray (H, W, 3) float32
+        Points [mm]; NaN where there is none.
+    sigma_mm : ndarray (H, W) float32
+        Standard deviation along the organising camera's ray [mm]; NaN where there is no point.
+    rejected : ndarray (H, W) uint16
+        Bit mask of the names in REJECTIONS; 0 = valid.
+    correspondence_px : ndarray (H, W, 2) float32 or None
+        Pixel (u, v) of the same point in the other camera [px].
+    views : dict of View
+        Per camera name.
+    texture_views : tuple of str
+        Cameras whose images may serve as texture.
+    resampled : bool
+        True where an unorganised cloud was rendered onto the pixel grid.
+    """
+
+    name: str
+    organised_on: Literal["A", "B"]
+    rig: Rig
+    points_sensor: Map = field(metadata={"unit": "mm"})
+    sigma_mm: Map = field(metadata={"unit": "mm"})
+    rejected: NDArray[np.uint16] = field(metadata={"unit": "bit mask of REJECTIONS"})
+    correspondence_px: Map | None = field(metadata={"unit": "px"})
+    views: dict[str, View]
+    texture_views: tuple[str, ...]
+    resampled: bool
+
+    @property
+    def camera(self) -> Camera:
+        """The organising camera."""
+        return self.rig.cameras[self.organised_on]
+
+    @cached_property
+    def valid(self) -> NDArray[np.bool_]:
+        """Pixels (H, W) that hold a point."""
+        return np.asarray(np.isfinite(self.points_sensor[..., 2]))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the pixel grid."""
+        return (self.points_sensor.shape[0], self.points_sensor.shape[1])
+
+    def save(self, path: Path) -> None:
+        """Write one HDF5 file (schema planish.measurement/1)."""
+        storage.save(Path(path), self, SCHEMA)
+
+    @classmethod
+    def load(cls, path: Path) -> Measurement:
+        """Read a file written by `save`; errors name the file."""
+        return storage.load(Path(path), cls, SCHEMA)

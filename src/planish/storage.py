@@ -1,0 +1,161 @@
+"""One mechanism to save and load the frozen dataclasses that pass between stages: one HDF5 file each.
+
+Arrays become datasets, other values attributes, nested objects groups, units attributes. A file is written under a
+temporary name and renamed when whole, so an interrupted run never leaves half a file under a valid name.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import hashlib
+import json
+import os
+import types
+import typing
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import h5py
+import numpy as np
+
+from planish.errors import InputError
+
+T = TypeVar("T")
+
+#: Marks a field that holds None (HDF5 has no such value).
+_NONE = "planish: none"
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a temporary path beside `path`; rename it to `path` when the block ends well, remove it otherwise."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write JSON (two spaces, no NaN) under a temporary name, then rename."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Return the object in a JSON file; an error names the file."""
+    try:
+        content = json.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})", "a JSON file") from None
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(path, f"is not valid JSON ({error})", "a JSON file") from None
+    if not isinstance(content, dict):
+        raise InputError(path, f"holds a JSON {type(content).__name__}", "a JSON object")
+    return content
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file in hexadecimal."""
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def save(path: Path, value: Any, schema: str) -> None:
+    """Write a dataclass to an HDF5 file whose `schema` attribute is `schema`."""
+    with replacing(Path(path)) as temporary, h5py.File(temporary, "w", track_order=True) as file:
+        file.attrs["schema"] = schema
+        _write_fields(file, value)
+
+
+def load(path: Path, kind: type[T], schema: str) -> T:
+    """Return the object of dataclass `kind` from an HDF5 file.
+
+    Raises
+    ------
+    InputError
+        Where the file is missing, damaged, no HDF5 file or of another schema.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(path, "no such file", f"a file of schema {schema}")
+    try:
+        with h5py.File(path, "r") as file:
+            found = file.attrs.get("schema")
+            if found != schema:
+                raise InputError(path, f"schema is {found!r}", f"'{schema}'")
+            return _read_fields(file, kind)
+    except InputError:
+        raise
+    except (OSError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        raise InputError(path, f"is damaged or not HDF5 ({error})", f"a whole file of schema {schema}") from None
+
+
+def _write_fields(group: Any, value: Any) -> None:
+    for field in dataclasses.fields(value):
+        _write(group, field.name, getattr(value, field.name), field.metadata.get("unit"))
+
+
+def _write(group: Any, name: str, item: Any, unit: str | None = None) -> None:
+    if item is None:
+        group.attrs[name] = _NONE
+    elif hasattr(item, "to_json"):
+        group.attrs[name] = json.dumps(item.to_json())
+    elif dataclasses.is_dataclass(item):
+        _write_fields(group.create_group(name, track_order=True), item)
+    elif isinstance(item, Mapping):
+        child = group.create_group(name, track_order=True)
+        for key, entry in item.items():
+            _write(child, str(key), entry, unit)
+    elif isinstance(item, np.ndarray):
+        dataset = group.create_dataset(name, data=item)
+        if unit:
+            dataset.attrs["unit"] = unit
+    elif isinstance(item, tuple) and item and dataclasses.is_dataclass(item[0]):
+        _write(group, name, {f"{i:03d}": entry for i, entry in enumerate(item)}, unit)
+    elif isinstance(item, tuple):
+        group.attrs[name] = json.dumps(list(item))
+    else:
+        group.attrs[name] = item
+
+
+def _read_fields(group: Any, kind: type[T]) -> T:
+    hints = typing.get_type_hints(kind)
+    names = [field.name for field in dataclasses.fields(typing.cast(Any, kind))]
+    return kind(**{name: _read(group, name, hints[name]) for name in names})
+
+
+def _read(group: Any, name: str, hint: Any) -> Any:
+    if name in group.attrs:
+        item = group.attrs[name]
+        if isinstance(item, str) and item == _NONE:
+            return None
+        hint = _without_none(hint)
+        if hasattr(hint, "from_json"):
+            return hint.from_json(json.loads(item))
+        if typing.get_origin(hint) is tuple:
+            return tuple(json.loads(item))
+        return item.item() if isinstance(item, np.generic) else item
+    node, hint = group[name], _without_none(hint)
+    origin = typing.get_origin(hint)
+    if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
+        return {key: _read(node, key, typing.get_args(hint)[1]) for key in [*node.keys(), *_own_attributes(node)]}
+    if origin is tuple:
+        return tuple(_read(node, key, typing.get_args(hint)[0]) for key in sorted(node.keys()))
+    if dataclasses.is_dataclass(hint):
+        return _read_fields(node, typing.cast(Any, hint))
+    return node[()]
+
+
+def _own_attributes(node: Any) -> list[str]:
+    return [key for key in node.attrs if key != "schema"]
+
+
+def _without_none(hint: Any) -> Any:
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        (hint,) = [part for part in typing.get_args(hint) if part is not type(None)]
+    return hint
