@@ -7,7 +7,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Self
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
@@ -20,6 +19,8 @@ from planish.options import Strict
 SCHEMA = "planish.rig/1"
 #: Numbers of distortion coefficients OpenCV knows; the tilted sensor (14) is not supported by the kernels.
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12)
+#: Fixed-point steps of the inverse distortion; real lenses need about ten for 1e-13.
+UNDISTORT_ITERATIONS = 50
 
 
 @dataclass(frozen=True)
@@ -45,12 +46,21 @@ class Camera:
 
     @classmethod
     def make(
-        cls, K: ArrayLike, distortion: ArrayLike, size_px: tuple[int, int], T_camera_sensor: ArrayLike, name: str = "camera"
+        cls,
+        K: ArrayLike,
+        distortion: ArrayLike,
+        size_px: tuple[int, int],
+        T_camera_sensor: ArrayLike,
+        name: str = "camera",
     ) -> Self:
         """Check the values and fill the distortion with zeros; errors name `name`."""
         matrix = np.asarray(K, float)
         if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
-            raise InputError(f"{name}.K", f"found {matrix.tolist()}", "a 3 x 3 camera matrix with positive focal lengths [px]")
+            raise InputError(
+                f"{name}.K",
+                f"found {matrix.tolist()}",
+                "a 3 x 3 camera matrix with positive focal lengths [px]",
+            )
         coefficients = np.ravel(np.asarray(distortion, float))
         if len(coefficients) == 14 and not coefficients[12:].any():
             coefficients = coefficients[:12]
@@ -61,7 +71,12 @@ class Camera:
             )  # fmt: skip
         full = np.zeros(12)
         full[: len(coefficients)] = coefficients
-        return cls(matrix, full, (int(size_px[0]), int(size_px[1])), require_rigid(T_camera_sensor, f"{name}.T_camera_sensor"))
+        return cls(
+            matrix,
+            full,
+            (int(size_px[0]), int(size_px[1])),
+            require_rigid(T_camera_sensor, f"{name}.T_camera_sensor"),
+        )
 
     @cached_property
     def center_sensor(self) -> Array:
@@ -73,24 +88,38 @@ class Camera:
         points = np.asarray(points_sensor, float)
         x = points.reshape(-1, 3) @ self.T_camera_sensor[:3, :3].T + self.T_camera_sensor[:3, 3]
         x[~(x[:, 2] > 0)] = np.nan
-        n = x[:, :2] / x[:, 2:]
-        r2 = (n**2).sum(1)
-        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self.distortion
-        # OpenCV calib3d, "Detailed Description": radial (rational), tangential and thin-prism terms.
-        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
-        xy = n[:, 0] * n[:, 1]
-        dx = n[:, 0] * radial + 2 * p1 * xy + p2 * (r2 + 2 * n[:, 0] ** 2) + s1 * r2 + s2 * r2**2
-        dy = n[:, 1] * radial + p1 * (r2 + 2 * n[:, 1] ** 2) + 2 * p2 * xy + s3 * r2 + s4 * r2**2
-        pixels = np.stack([self.K[0, 0] * dx + self.K[0, 1] * dy + self.K[0, 2], self.K[1, 1] * dy + self.K[1, 2]], -1)
+        d = self._distort(x[:, :2] / x[:, 2:])
+        u = self.K[0, 0] * d[:, 0] + self.K[0, 1] * d[:, 1] + self.K[0, 2]
+        pixels = np.stack([u, self.K[1, 1] * d[:, 1] + self.K[1, 2]], -1)
         return pixels.reshape(*points.shape[:-1], 2)
 
     def rays_sensor(self, pixels: NDArray[np.floating]) -> Array:
         """Return directions (..., 3) in the sensor frame of the rays through pixels (..., 2); camera z component 1."""
-        flat = np.ascontiguousarray(np.asarray(pixels, float).reshape(-1, 1, 2))
-        criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-13)
-        normalised = cv2.undistortPointsIter(flat, self.K, self.distortion, None, None, criteria).reshape(-1, 2)
+        flat = np.asarray(pixels, float).reshape(-1, 2)
+        y = (flat[:, 1] - self.K[1, 2]) / self.K[1, 1]
+        distorted = np.column_stack([(flat[:, 0] - self.K[0, 2] - self.K[0, 1] * y) / self.K[0, 0], y])
+        normalised = self._undistort(distorted)
         directions = np.column_stack([normalised, np.ones(len(normalised))]) @ self.T_camera_sensor[:3, :3]
         return directions.reshape(*np.shape(pixels)[:-1], 3)
+
+    def _distort(self, n: Array) -> Array:
+        # OpenCV calib3d, "Detailed Description": radial (rational), tangential and thin-prism terms.
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self.distortion
+        r2 = (n**2).sum(1)
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        xy = n[:, 0] * n[:, 1]
+        dx = n[:, 0] * radial + 2 * p1 * xy + p2 * (r2 + 2 * n[:, 0] ** 2) + s1 * r2 + s2 * r2**2
+        dy = n[:, 1] * radial + p1 * (r2 + 2 * n[:, 1] ** 2) + 2 * p2 * xy + s3 * r2 + s4 * r2**2
+        return np.stack([dx, dy], -1)
+
+    def _undistort(self, distorted: Array) -> Array:
+        n = distorted.copy()
+        for _ in range(UNDISTORT_ITERATIONS):
+            step = distorted - self._distort(n)
+            n += step
+            if np.abs(step).max(initial=0.0) < 1e-13:
+                break
+        return n
 
     @cached_property
     def kernel_parameters(self) -> Array:
@@ -138,7 +167,10 @@ class Rig:
     def in_frame_of(self, camera: str) -> Rig:
         """Return the same rig with the frame of one of its cameras as sensor frame."""
         T_sensor_camera = invert(self.cameras[camera].T_camera_sensor)
-        move = lambda c: replace(c, T_camera_sensor=c.T_camera_sensor @ T_sensor_camera)  # noqa: E731
+
+        def move(item: Camera) -> Camera:
+            return replace(item, T_camera_sensor=item.T_camera_sensor @ T_sensor_camera)
+
         cameras = {name: move(item) for name, item in self.cameras.items()}
         cameras[camera] = replace(cameras[camera], T_camera_sensor=np.eye(4))
         return replace(self, cameras=cameras, projector=None if self.projector is None else move(self.projector))
@@ -173,14 +205,14 @@ class Rig:
 
 class _CameraFile(Strict):
     K: list[list[float]]
-    distortion: list[float] = []
+    distortion: list[float] = Field(default_factory=list)
     size_px: tuple[int, int]
     T_camera_sensor: list[list[float]]
 
 
 class _ProjectorFile(Strict):
     K: list[list[float]]
-    distortion: list[float] = []
+    distortion: list[float] = Field(default_factory=list)
     size_px: tuple[int, int]
     T_projector_sensor: list[list[float]]
 
@@ -210,7 +242,9 @@ class _RigFile(Strict):
         }
         projector = None
         if (item := self.projector) is not None:
-            projector = Camera.make(item.K, item.distortion, item.size_px, item.T_projector_sensor, f"{subject}: projector")
+            projector = Camera.make(
+                item.K, item.distortion, item.size_px, item.T_projector_sensor, f"{subject}: projector"
+            )
         if self.covariance is None:
             return Rig(cameras, projector)
         matrix = np.asarray(self.covariance.matrix, float)

@@ -1,0 +1,1 @@
+"""From Measurements to a Registration, one module per step of the data flow."""

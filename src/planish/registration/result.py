@@ -1,0 +1,286 @@
+"""Results of the registration: pairs, measurements, groups, and their file `registration.json`."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from planish import storage
+from planish.errors import InputError
+from planish.geometry import Array, require_rigid
+from planish.options import Strict
+
+SCHEMA = "planish.registration/1"
+
+Status = Literal["accepted", "refused", "ambiguous"]
+
+
+@dataclass(frozen=True)
+class OverlapError:
+    """How well two registered surfaces agree where they overlap; definition in `planish.evaluation.overlap`.
+
+    `sigma_tangential_mm` is the standard deviation of `rms_tangential_mm` that noise alone explains.
+    """
+
+    points: int
+    min_mm: float
+    max_mm: float
+    rms_normal_mm: float
+    rms_tangential_mm: float | None
+    sigma_tangential_mm: float | None
+
+
+@dataclass(frozen=True)
+class RunnerUp:
+    """The best consensus that contradicts the chosen one."""
+
+    consensus: int
+    log10_false_alarms: float
+    T_a_b: Array
+    rotation_rad: float
+    translation_mm: float
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One eigenvector of the pair's information: what moves, how well it is held, and by what.
+
+    `direction` is a unit vector (6,) [rotation rad scaled by `length_mm`, translation mm] about the covariance point.
+    """
+
+    direction: tuple[float, ...]
+    length_mm: float
+    sigma_mm: float
+    texture_share: float
+    observable: bool
+
+
+@dataclass(frozen=True)
+class PairResult:
+    """Everything known about one pair; `T_a_b` maps points of b into a and is None unless accepted.
+
+    Covariances (6, 6) are of xi = [rotation rad, translation mm] with T_a_b = perturb(T_hat, xi, covariance_point_mm);
+    the point is given in the frame of a.
+    """
+
+    a: str
+    b: str
+    status: Status
+    reason: str
+    T_a_b: Array | None = None
+    covariance_noise: Array | None = None
+    covariance_calibration: Array | None = None
+    covariance_point_mm: Array | None = None
+    matches: int = 0
+    consensus: int = 0
+    log10_false_alarms: float = 0.0
+    runner_up: RunnerUp | None = None
+    observability: tuple[Direction, ...] = ()
+    overlap: float | None = None
+    overlap_error: OverlapError | None = None
+    used: bool = False
+    removed_reason: str | None = None
+    #: Pixels (N, 4) of the consensus: (u, v) in a's and (u, v) in b's organising camera; for pictures, not in the JSON.
+    consensus_px: Array = field(default_factory=lambda: np.empty((0, 4)))
+    #: The same of all matches.
+    matches_px: Array = field(default_factory=lambda: np.empty((0, 4)))
+
+
+@dataclass(frozen=True)
+class PlacedMeasurement:
+    """A measurement in the world of its group (the frame of the group's reference).
+
+    The covariances are of T_world_measurement about `covariance_point_mm`, the own centroid in world; zero for the
+    reference.
+    """
+
+    name: str
+    file: str
+    sha256: str
+    group: int
+    T_world_measurement: Array
+    covariance_noise: Array
+    covariance_calibration: Array | None
+    covariance_point_mm: Array
+
+
+@dataclass(frozen=True)
+class Group:
+    """Measurements that are tied together; the world of the group is the frame of `reference`."""
+
+    id: int
+    reference: str
+
+
+@dataclass(frozen=True)
+class Registration:
+    """All measurements of a run, tied into one or several groups, and all pairs that were tried."""
+
+    groups: tuple[Group, ...]
+    measurements: tuple[PlacedMeasurement, ...]
+    pairs: tuple[PairResult, ...]
+    options: dict[str, Any]
+    versions: dict[str, str]
+
+    def pair(self, a: str, b: str) -> PairResult:
+        """Return the result of a pair by the names of its measurements, in the order in which it was computed."""
+        for pair in self.pairs:
+            if (pair.a, pair.b) == (a, b):
+                return pair
+        raise InputError("pair", f"found ({a}, {b})", f"one of {[(p.a, p.b) for p in self.pairs]}")
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of `registration.json`; nothing in it depends on time, path or machine."""
+        return {
+            "schema": SCHEMA,
+            "units": "mm",
+            "versions": self.versions,
+            "options": self.options,
+            "groups": [asdict(group) for group in self.groups],
+            "measurements": [_plain(asdict(item)) for item in self.measurements],
+            "pairs": [_pair_to_json(pair) for pair in self.pairs],
+        }
+
+    def save(self, path: Path) -> None:
+        """Write `registration.json`."""
+        storage.write_json(Path(path), self.to_json())
+
+    @classmethod
+    def load(cls, path: Path) -> Registration:
+        """Read `registration.json`; errors name the file."""
+        return _RegistrationFile.parse(storage.read_json(Path(path)), str(path)).to_registration(str(path))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, (np.ndarray, np.generic)):
+        return value.tolist()
+    return value
+
+
+_PAIR_KEYS = (
+    "a", "b", "status", "reason", "used", "removed_reason", "T_a_b", "covariance_noise", "covariance_calibration",
+    "covariance_point_mm", "matches", "consensus", "log10_false_alarms", "runner_up", "observability", "overlap",
+    "overlap_error",
+)  # fmt: skip
+
+
+def _pair_to_json(pair: PairResult) -> dict[str, Any]:
+    content = _plain(asdict(pair))
+    return {key: content[key] for key in _PAIR_KEYS}
+
+
+Matrix = list[list[float]]
+
+
+class _OverlapErrorFile(Strict):
+    points: int
+    min_mm: float
+    max_mm: float
+    rms_normal_mm: float
+    rms_tangential_mm: float | None
+    sigma_tangential_mm: float | None
+
+
+class _RunnerUpFile(Strict):
+    consensus: int
+    log10_false_alarms: float
+    T_a_b: Matrix
+    rotation_rad: float
+    translation_mm: float
+
+
+class _DirectionFile(Strict):
+    direction: tuple[float, ...]
+    length_mm: float
+    sigma_mm: float
+    texture_share: float
+    observable: bool
+
+
+class _PairFile(Strict):
+    a: str
+    b: str
+    status: Status
+    reason: str
+    used: bool
+    removed_reason: str | None
+    T_a_b: Matrix | None
+    covariance_noise: Matrix | None
+    covariance_calibration: Matrix | None
+    covariance_point_mm: tuple[float, float, float] | None
+    matches: int
+    consensus: int
+    log10_false_alarms: float
+    runner_up: _RunnerUpFile | None
+    observability: list[_DirectionFile]
+    overlap: float | None
+    overlap_error: _OverlapErrorFile | None
+
+
+class _PlacedFile(Strict):
+    name: str
+    file: str
+    sha256: str
+    group: int
+    T_world_measurement: Matrix
+    covariance_noise: Matrix
+    covariance_calibration: Matrix | None
+    covariance_point_mm: tuple[float, float, float]
+
+
+class _GroupFile(Strict):
+    id: int
+    reference: str
+
+
+class _RegistrationFile(Strict):
+    schema_: Literal["planish.registration/1"] = Field(alias="schema")
+    units: Literal["mm"]
+    versions: dict[str, str]
+    options: dict[str, Any]
+    groups: list[_GroupFile]
+    measurements: list[_PlacedFile]
+    pairs: list[_PairFile]
+
+    def to_registration(self, subject: str) -> Registration:
+        return Registration(
+            tuple(Group(g.id, g.reference) for g in self.groups),
+            tuple(_placed(m, f"{subject}: {m.name}") for m in self.measurements),
+            tuple(_pair(p, f"{subject}: pair {p.a}, {p.b}") for p in self.pairs),
+            self.options,
+            self.versions,
+        )
+
+
+def _optional(value: Any) -> Array | None:
+    return None if value is None else np.asarray(value, float)
+
+
+def _placed(item: _PlacedFile, subject: str) -> PlacedMeasurement:
+    return PlacedMeasurement(
+        item.name, item.file, item.sha256, item.group,
+        require_rigid(item.T_world_measurement, f"{subject}: T_world_measurement"),
+        np.asarray(item.covariance_noise), _optional(item.covariance_calibration), np.asarray(item.covariance_point_mm),
+    )  # fmt: skip
+
+
+def _pair(item: _PairFile, subject: str) -> PairResult:
+    values = item.model_dump()
+    for key in ("covariance_noise", "covariance_calibration", "covariance_point_mm"):
+        values[key] = _optional(values[key])
+    if item.T_a_b is not None:
+        values["T_a_b"] = require_rigid(item.T_a_b, f"{subject}: T_a_b")
+    if item.runner_up is not None:
+        values["runner_up"] = RunnerUp(**{**values["runner_up"], "T_a_b": np.asarray(item.runner_up.T_a_b)})
+    values["observability"] = tuple(Direction(**direction) for direction in values["observability"])
+    if item.overlap_error is not None:
+        values["overlap_error"] = OverlapError(**values["overlap_error"])
+    return PairResult(**values)

@@ -1,0 +1,1 @@
+"""From raw fringe images to a Measurement, one module per step of the data flow."""
