@@ -80,9 +80,12 @@ def _view_contrast(view: View, shading_px: float, limit: float) -> tuple[Map, Ma
 def _masked_lowpass(image: Map, known: NDArray[np.bool_], sigma_px: float) -> Map:
     """Gaussian low-pass over the known pixels only (normalised convolution, Knutsson and Westin 1993)."""
     mask = known.astype(np.float32)
-    border = {"ksize": (0, 0), "sigmaX": sigma_px, "borderType": cv2.BORDER_CONSTANT}
-    density = cv2.GaussianBlur(mask, **border)
-    smooth = cv2.GaussianBlur(np.where(known, image, 0).astype(np.float32), **border)
+
+    def blur(values: Map) -> Map:
+        return cv2.GaussianBlur(values, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
+
+    density = blur(mask)
+    smooth = blur(np.where(known, image, 0).astype(np.float32))
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(density > 1e-3, smooth / density, np.float32(0))
 
