@@ -4,9 +4,13 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include <cstdint>
 #include <thread>
+#include <vector>
 
 #include "core/camera.hpp"
+#include "core/chart.hpp"
+#include "core/consensus.hpp"
 #include "core/image.hpp"
 #include "core/surface.hpp"
 
@@ -85,6 +89,64 @@ bool cpu_has_avx2() {
 #endif
 }
 
+/// Rigid transform from an array (4, 4).
+struct Rigid {
+    Eigen::Matrix3d R;
+    Eigen::Vector3d t;
+    explicit Rigid(const In<double, 2>& T) {
+        for (int i = 0; i < 3; ++i) {
+            for (int j = 0; j < 3; ++j) R(i, j) = T(i, j);
+            t[i] = T(i, 3);
+        }
+    }
+};
+
+nb::tuple rasterise_chart(const In<float, 3>& points, const In<float, 3>& normals, const In<double, 2>& T_chart_sensor,
+                          double pitch, double min_cosine, double max_edge, int height, int width) {
+    Owned<float> source(height, width, 2), z(height, width, 1);
+    {
+        const Rigid T(T_chart_sensor);
+        nb::gil_scoped_release release;
+        planish::rasterise_chart(view<float, 3>(points), view<float, 3>(normals), {T.R, T.t, pitch}, min_cosine,
+                                 max_edge, source.image, z.image);
+    }
+    return nb::make_tuple(source.maps(), z.map());
+}
+
+/// Points (M, 3) and frames (M, 3, 3) of both sides of M matches.
+nb::tuple find_consensus(const In<double, 2>& points_a, const In<double, 2>& points_b, const In<double, 3>& frames_a,
+                         const In<double, 3>& frames_b, double tolerance, double frame_angle, double normal_angle,
+                         double min_baseline, int seeds, int partners, int keep, int threads) {
+    std::vector<planish::FramedMatch> matches(points_a.shape(0));
+    for (std::size_t m = 0; m < matches.size(); ++m)
+        for (int i = 0; i < 3; ++i) {
+            matches[m].point_a[i] = points_a(m, i);
+            matches[m].point_b[i] = points_b(m, i);
+            for (int j = 0; j < 3; ++j) {
+                matches[m].frame_a(i, j) = frames_a(m, i, j);
+                matches[m].frame_b(i, j) = frames_b(m, i, j);
+            }
+        }
+    std::vector<planish::Hypothesis> found;
+    {
+        nb::gil_scoped_release release;
+        found = planish::find_consensus(matches, {tolerance, frame_angle, normal_angle, min_baseline, seeds, partners},
+                                        keep, threads);
+    }
+    const auto count = static_cast<int>(found.size());
+    Owned<double> transforms(count, 4, 4);
+    Owned<std::int32_t> support(count, 1, 1);
+    for (int h = 0; h < count; ++h) {
+        for (int i = 0; i < 4; ++i)
+            for (int j = 0; j < 4; ++j)
+                transforms.image.at(h, i)[j] = i == 3   ? (j == 3 ? 1.0 : 0.0)
+                                               : j == 3 ? found[h].t_a_b[i]
+                                                        : found[h].R_a_b(i, j);
+        *support.image.at(h, 0) = found[h].support;
+    }
+    return nb::make_tuple(transforms.maps(), support.map());
+}
+
 }  // namespace
 
 NB_MODULE(PLANISH_MODULE, m) {
@@ -95,6 +157,10 @@ NB_MODULE(PLANISH_MODULE, m) {
 
     // --- registration ------------------------------------------------------------------------------------------
     m.def("fit_surface", &fit_surface, "points"_a, "camera"_a, "radius"_a, "max_slope"_a, "threads"_a);
+    m.def("rasterise_chart", &rasterise_chart, "points"_a, "normals"_a, "T_chart_sensor"_a, "pitch"_a, "min_cosine"_a,
+          "max_edge"_a, "height"_a, "width"_a);
+    m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
+          "frame_angle"_a, "normal_angle"_a, "min_baseline"_a, "seeds"_a, "partners"_a, "keep"_a, "threads"_a);
 
     // --- evaluation --------------------------------------------------------------------------------------------
 

@@ -11,3 +11,27 @@ def cpu_count() -> int: ...
 
 # Registration
 def fit_surface(points: F32, camera: F64, radius: int, max_slope: float, threads: int) -> tuple[F32, F32, F32]: ...
+def rasterise_chart(
+    points: F32,
+    normals: F32,
+    T_chart_sensor: F64,
+    pitch: float,
+    min_cosine: float,
+    max_edge: float,
+    height: int,
+    width: int,
+) -> tuple[F32, F32]: ...
+def find_consensus(
+    points_a: F64,
+    points_b: F64,
+    frames_a: F64,
+    frames_b: F64,
+    tolerance: float,
+    frame_angle: float,
+    normal_angle: float,
+    min_baseline: float,
+    seeds: int,
+    partners: int,
+    keep: int,
+    threads: int,
+) -> tuple[F64, NDArray[np.int32]]: ...
