@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+
 from planish import geometry
 from planish.errors import InputError
 
@@ -166,7 +167,7 @@ PROJECTIVE = np.eye(4) + np.outer([0, 0, 0, 1], [0, 0, 1e-9, 0])
     ids=["mirror", "projective", "scaled", "3 x 3", "nan", "ragged", "text", "none"],
 )
 def test_require_rigid_refuses_what_is_no_rigid_transform_and_names_it(T):
-    with pytest.raises(InputError, match="cameras.A.T_camera_sensor") as caught:
+    with pytest.raises(InputError, match=r"cameras\.A\.T_camera_sensor") as caught:
         geometry.require_rigid(T, "cameras.A.T_camera_sensor")
     assert "4 x 4 rigid transform" in str(caught.value)
 
