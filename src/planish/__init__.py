@@ -1,1 +1,13 @@
-"""planish."""
+"""Registers fringe-projection measurements of feature-poor parts by their surface texture."""
+
+from importlib.metadata import version
+
+from planish.errors import InputError
+from planish.measurement import Measurement
+from planish.registration.result import PairResult, Registration
+from planish.rig import Camera, Rig
+from planish.sensing.capture import Capture
+
+__all__ = ["Camera", "Capture", "InputError", "Measurement", "PairResult", "Registration", "Rig", "__version__"]
+
+__version__ = version("planish")
