@@ -4,6 +4,7 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include <cmath>
 #include <cstdint>
 #include <thread>
 #include <vector>
@@ -12,6 +13,7 @@
 #include "core/chart.hpp"
 #include "core/consensus.hpp"
 #include "core/image.hpp"
+#include "core/joint.hpp"
 #include "core/surface.hpp"
 
 namespace nb = nanobind;
@@ -147,6 +149,64 @@ nb::tuple find_consensus(const In<double, 2>& points_a, const In<double, 2>& poi
     return nb::make_tuple(transforms.maps(), support.map());
 }
 
+planish::JointMaps joint_maps(const nb::tuple& maps) {
+    return {
+        view<float, 3>(nb::cast<In<float, 3>>(maps[0])), view<float, 3>(nb::cast<In<float, 3>>(maps[1])),
+        view<float, 2>(nb::cast<In<float, 2>>(maps[2])), view<float, 3>(nb::cast<In<float, 3>>(maps[3])),
+        view<float, 2>(nb::cast<In<float, 2>>(maps[4])), view<std::uint8_t, 2>(nb::cast<In<std::uint8_t, 2>>(maps[5]))};
+}
+
+Out<double, 2> matrix6(const planish::Matrix6& value) {
+    Owned<double> out(6, 6, 1);
+    for (int i = 0; i < 6; ++i)
+        for (int j = 0; j < 6; ++j) *out.image.at(i, j) = value(i, j);
+    return out.map();
+}
+
+nb::tuple normal_equations(const planish::Normal& n) {
+    Owned<double> g(1, 6, 1);
+    std::copy_n(n.g.data(), 6, g.image.data);
+    return nb::make_tuple(matrix6(n.H), g.map(), n.cost, n.count);
+}
+
+/// Maps a, camera a, maps b: see planish::JointMaps. Returns normal equations of distance and texture, the unbiased
+/// texture information, correlation, number of conflicts, tile gradients (tiles, 6) and, if asked for, the residual
+/// maps.
+nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
+                                 const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
+                                 bool with_residuals, int threads) {
+    const auto number = [&](int i) { return nb::cast<double>(options[i]); };
+    const planish::JointOptions o{number(0),
+                                  number(1),
+                                  number(2),
+                                  number(3),
+                                  number(4),
+                                  number(5),
+                                  nb::cast<int>(options[6]),
+                                  nb::cast<int>(options[7])};
+    const auto a = joint_maps(maps_a), b = joint_maps(maps_b);
+    const Rigid T(T_a_b);
+    Owned<float> distances(with_residuals ? b.points.height : 0, b.points.width, 1);
+    Owned<float> differences(with_residuals ? b.points.height : 0, b.points.width, 1);
+    planish::JointResult result;
+    {
+        const auto camera = camera_from(camera_a);
+        nb::gil_scoped_release release;
+        const planish::Image<float> none;
+        result = planish::joint_normal_equations(a, camera, b, T.R, T.t, {about(0), about(1), about(2)}, o, threads,
+                                                 with_residuals ? distances.image : none,
+                                                 with_residuals ? differences.image : none);
+    }
+    Owned<double> tiles(static_cast<int>(result.tile_gradients.size()), 6, 1);
+    for (std::size_t i = 0; i < result.tile_gradients.size(); ++i)
+        std::copy_n(result.tile_gradients[i].data(), 6, tiles.image.row(static_cast<int>(i)));
+    const auto& s = result.sums;
+    const double norm = std::sqrt(s.correlation_aa * s.correlation_bb);
+    return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_texture_unbiased),
+                          norm > 0 ? s.correlation_ab / norm : 0.0, s.conflicts, tiles.map(), distances.map(),
+                          differences.map());
+}
+
 }  // namespace
 
 NB_MODULE(PLANISH_MODULE, m) {
@@ -161,6 +221,8 @@ NB_MODULE(PLANISH_MODULE, m) {
           "max_edge"_a, "height"_a, "width"_a);
     m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
           "frame_angle"_a, "normal_angle"_a, "min_baseline"_a, "seeds"_a, "partners"_a, "keep"_a, "threads"_a);
+    m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
+          "options"_a, "with_residuals"_a, "threads"_a);
 
     // --- evaluation --------------------------------------------------------------------------------------------
 

@@ -35,3 +35,17 @@ def find_consensus(
     keep: int,
     threads: int,
 ) -> tuple[F64, NDArray[np.int32]]: ...
+
+_Maps = tuple[F32, F32, F32, F32, F32, NDArray[np.uint8]]
+_Normal = tuple[F64, F64, float, int]
+
+def joint_normal_equations(
+    maps_a: _Maps,
+    camera_a: F64,
+    maps_b: _Maps,
+    T_a_b: F64,
+    about: F64,
+    options: tuple[float, float, float, float, float, float, int, int],
+    with_residuals: bool,
+    threads: int,
+) -> tuple[_Normal, _Normal, F64, float, int, F64, F32, F32]: ...

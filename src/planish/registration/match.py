@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -38,7 +38,7 @@ class Matches:
 
     index_a: NDArray[np.int64]
     index_b: NDArray[np.int64]
-    ratio: NDArray[np.float64] = field()
+    ratio: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.index_a)
