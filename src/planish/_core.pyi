@@ -49,3 +49,52 @@ def joint_normal_equations(
     with_residuals: bool,
     threads: int,
 ) -> tuple[_Normal, _Normal, F64, float, int, F64, F32, F32]: ...
+
+# Evaluation
+def look_up_distance(
+    points_a: F32,
+    normals_a: F32,
+    camera_a: F64,
+    points_b: F32,
+    normals_b: F32,
+    T_a_b: F64,
+    max_distance: float,
+    with_pixels: bool,
+    threads: int,
+) -> tuple[F32, F32]: ...
+def cell_medians(map: F32, size: int, min_count: int, threads: int) -> F32: ...
+def tile_shifts(
+    value_a: F32,
+    sigma_a: F32,
+    value_b: F32,
+    sigma_b: F32,
+    pixels_b: F32,
+    tiles: F64,
+    size: int,
+    start_1: float,
+    start_2: float,
+    threads: int,
+) -> F64: ...
+def common_shift(
+    value_a: F32,
+    sigma_a: F32,
+    value_b: F32,
+    sigma_b: F32,
+    pixels_b: F32,
+    tiles: F64,
+    size: int,
+    start_1: float,
+    start_2: float,
+    threads: int,
+) -> tuple[float, float]: ...
+def shift_scores(
+    value_a: F32,
+    sigma_a: F32,
+    value_b: F32,
+    sigma_b: F32,
+    pixels_b: F32,
+    tiles: F64,
+    size: int,
+    shifts: F64,
+    threads: int,
+) -> F64: ...
