@@ -74,7 +74,7 @@ def adjust(
     free = sorted(name for name in T if name != reference)
     column = {name: 6 * i for i, name in enumerate(free)}
     edges = [p for p in pairs if p.used and p.a in T and p.b in T]
-    information: list[Array] = [np.linalg.inv(_required(p.covariance_noise)) for p in edges]
+    information: list[Array] = [np.asarray(np.linalg.inv(_required(p.covariance_noise)), np.float64) for p in edges]
     N = np.zeros((6 * len(free), 6 * len(free)))
     for _ in range(options.max_steps):
         N[:] = 0
