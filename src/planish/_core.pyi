@@ -1,10 +1,15 @@
 """Kernels of the C++ core: arrays in, arrays out. Callers check shapes; nothing here is public."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+U8 = NDArray[np.uint8]
+U16 = NDArray[np.uint16]
 
 def cpu_has_avx2() -> bool: ...
 def cpu_count() -> int: ...
@@ -121,3 +126,50 @@ def intersect_surface(
 ) -> None: ...
 def texture_albedo(texture: dict[str, Any], at: NDArray[np.float64], out: NDArray[np.float64]) -> None: ...
 def normal_numbers(seed: int, stream: int, out: NDArray[np.float32]) -> None: ...
+# --- sensing (an optional array that is absent has size 0) ---
+
+def decode_phase(
+    images: Sequence[NDArray[Any]],
+    counts: Sequence[int],
+    angles_cos: Sequence[float],
+    angles_sin: Sequence[float],
+    periods: Sequence[float],
+    coarse: F32,
+    saturation: float,
+    noise_offset: float,
+    noise_slope: float,
+    max_phase_sigma_rad: float,
+    coarse_limit_px: float,
+    range_start_px: float,
+    range_length_px: float,
+    threads: int,
+) -> tuple[F32, F32, F32, F32, U16]: ...
+def decode_gray(
+    images: Sequence[NDArray[Any]], inverse: Sequence[int], threshold: F32, threads: int
+) -> F32: ...
+def undistortion_shifts(camera: F64, height: int, width: int, threads: int) -> F32: ...
+def phase_edges(position: F32, sigma: F32, jump_px: float, sigmas: float, threads: int) -> U8: ...
+def correspond(
+    own_position: F32,
+    own_sigma: F32,
+    own_shift: F32,
+    other_position: F32,
+    other_sigma: F32,
+    other_shift: F32,
+    F: F64,
+    threads: int,
+) -> tuple[F32, F32]: ...
+def triangulate(
+    own: F64, own_shift: F32, other: F64, other_shift: F32, pixel: F32, sigma: F32, threads: int
+) -> tuple[F32, F32, F32]: ...
+def projector_residual(
+    projector: F64,
+    axis: int,
+    center: F64,
+    points: F32,
+    sigma_mm: F32,
+    position: F32,
+    position_sigma: F32,
+    threads: int,
+) -> tuple[F32, F32]: ...
+def islands(depth: F32, sigma: F32, depth_per_pixel: float, sigmas: float, min_pixels: int) -> U8: ...
