@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from planish import _core
-from planish.evaluation.prepared import Prepared, prepare
+from planish.evaluation.prepared import Prepared
 from planish.evaluation.tangential import TileShifts, measure_tile_shifts
 from planish.geometry import Array, invert, require_rigid
 from planish.measurement import Map, Measurement
@@ -58,6 +58,9 @@ class OverlapEvaluation:
         Figures over the overlap; None where there is none.
     distance_mm : ndarray (H, W) float32
         Signed normal distance of b's points from a on b's pixel grid [mm]; NaN outside the overlap.
+    distance_of_a_mm : ndarray (H, W) float32
+        The same the other way: distance of a's points from b on a's pixel grid, positive where a is nearer to b's
+        sensor than b [mm].
     tiles : TileShifts
         Shifts of the texture of single tiles along the surface.
     """
@@ -67,6 +70,7 @@ class OverlapEvaluation:
     overlap: float
     error: OverlapError | None
     distance_mm: Map
+    distance_of_a_mm: Map
     tiles: TileShifts
 
 
@@ -97,11 +101,9 @@ def signed_distances(
 
 def overlap_fraction(a: Prepared, b: Prepared, distance_of_a: Map) -> float:
     """Return the overlap, given the distances (H, W of a) of a's points from b (NaN outside)."""
-    areas_a, areas_b = a.areas_mm2, b.areas_mm2
-    smaller = min(float(areas_a.sum(dtype=float)), float(areas_b.sum(dtype=float)))
-    if smaller == 0:
-        return 0.0
-    return min(1.0, float(areas_a[np.isfinite(distance_of_a)].sum(dtype=float)) / smaller)
+    smaller = min(a.area_mm2, b.area_mm2)
+    shared = float(np.sum(a.areas_mm2, where=np.isfinite(distance_of_a), dtype=float))
+    return min(1.0, shared / smaller) if smaller > 0 else 0.0
 
 
 def evaluate_overlap(
@@ -120,8 +122,7 @@ def evaluate_overlap(
     """
     options = options or OverlapOptions()
     T_a_b = require_rigid(T_a_b, "T_a_b")
-    a = a if isinstance(a, Prepared) else prepare(a, threads=threads)
-    b = b if isinstance(b, Prepared) else prepare(b, threads=threads)
+    a, b = Prepared.of(a, threads), Prepared.of(b, threads)
     distance, _ = signed_distances(a, b, T_a_b, options.max_distance_mm, threads=threads)
     distance_of_a, pixels_b = signed_distances(b, a, invert(T_a_b), options.max_distance_mm, True, threads)
     tiles = measure_tile_shifts(a, b, T_a_b, distance_of_a, pixels_b, threads)
@@ -131,6 +132,7 @@ def evaluate_overlap(
         overlap_fraction(a, b, distance_of_a),
         _summarise(distance, tiles, b.gsd_mm, options, threads),
         distance,
+        distance_of_a,
         tiles,
     )
 

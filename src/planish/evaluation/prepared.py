@@ -1,8 +1,7 @@
-"""What the evaluation of a pair needs of each of its measurements, computed once per measurement."""
+"""What the evaluation of a pair needs of each of its measurements, computed once per measurement and on demand."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +12,6 @@ from planish.registration.texture.photometric import local_contrast
 from planish.registration.tiles import ground_sample_distance, tile_size_px
 
 
-@dataclass(frozen=True)
 class Prepared:
     """A measurement with its local surface and its texture.
 
@@ -21,18 +19,37 @@ class Prepared:
     ----------
     measurement : Measurement
         The measurement itself.
-    surface : Surface
-        Normals and tangents on its pixel grid.
-    contrast : ndarray (H, W) float32
-        Local contrast of the texture; NaN where unknown.
-    contrast_sigma : ndarray (H, W) float32
-        Its standard deviation.
+    surface : Surface or None
+        Its local surface where it is known already.
+    contrast : tuple of two ndarray (H, W) float32, or None
+        Local contrast of its texture and the standard deviation, where they are known already.
+    threads : int or None
+        Number of threads for what is computed here.
     """
 
-    measurement: Measurement
-    surface: Surface
-    contrast: Map
-    contrast_sigma: Map
+    def __init__(
+        self,
+        measurement: Measurement,
+        surface: Surface | None = None,
+        contrast: tuple[Map, Map] | None = None,
+        threads: int | None = None,
+    ) -> None:
+        self.measurement, self._surface, self._contrast, self._threads = measurement, surface, contrast, threads
+
+    @classmethod
+    def of(cls, item: Measurement | Prepared, threads: int | None = None) -> Prepared:
+        """Return `item` itself where it is prepared."""
+        return item if isinstance(item, Prepared) else cls(item, threads=threads)
+
+    @cached_property
+    def surface(self) -> Surface:
+        """Normals and tangents on the pixel grid; NaN where there is no surface."""
+        return self._surface or fit_surface(self.measurement, threads=self._threads)
+
+    @cached_property
+    def contrast(self) -> tuple[Map, Map]:
+        """Local contrast of the texture and its standard deviation, each (H, W) float32; NaN where unknown."""
+        return self._contrast or local_contrast(self.measurement)
 
     @cached_property
     def gsd_mm(self) -> float:
@@ -54,8 +71,7 @@ class Prepared:
         squared = np.einsum("hwi,hwi->hw", u, u) * np.einsum("hwi,hwi->hw", v, v) - uv * uv
         return np.sqrt(np.nan_to_num(squared, nan=0.0).clip(min=0.0))
 
-
-def prepare(measurement: Measurement, surface: Surface | None = None, threads: int | None = None) -> Prepared:
-    """Return `measurement` with its surface (computed unless given) and its texture."""
-    value, sigma = local_contrast(measurement)
-    return Prepared(measurement, surface or fit_surface(measurement, threads=threads), value, sigma)
+    @cached_property
+    def area_mm2(self) -> float:
+        """Area of the whole measured surface [mm^2]."""
+        return float(self.areas_mm2.sum(dtype=float))

@@ -33,6 +33,10 @@ TILE_SAMPLES = 5
 MIN_OBSERVATIONS = 3
 
 
+#: Contrast and its sigma of a and of b, then the pixel in b of each point of a.
+Textures = tuple[Map, Map, Map, Map, Map]
+
+
 @dataclass(frozen=True)
 class TileShifts:
     """Shifts of the texture of K tiles along the surface of a.
@@ -119,7 +123,7 @@ def measure_tile_shifts(
     tiles, points, axes, rows = tiles[known], points[known], axes[known], np.ascontiguousarray(rows[known])
     if len(tiles) == 0:
         return TileShifts(tiles, points, axes, np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), MAX_SIGMA_PX)
-    textures = (a.contrast, a.contrast_sigma, b.contrast, b.contrast_sigma, pixels_b)
+    textures = (*a.contrast, *b.contrast, pixels_b)
     start = _common_shift(textures, rows, size, gsd, thread_count(threads))
     found = _core.tile_shifts(*textures, rows, size, start[0], start[1], thread_count(threads))
     shifts, covariances = found[:, :2], found[:, 2:6].reshape(-1, 2, 2)
@@ -176,7 +180,7 @@ def _pixel_motion(b: Prepared, T_a_b: Array, points_a: Array, directions_a: Arra
     return b.measurement.camera.project(ahead) - b.measurement.camera.project(behind)
 
 
-def _common_shift(textures: tuple[NDArray[np.float32], ...], rows: Array, size: int, gsd: float, threads: int) -> Array:
+def _common_shift(textures: Textures, rows: Array, size: int, gsd: float, threads: int) -> Array:
     """Shift (2,) [mm] at which the textures of a selection of tiles agree best: by search, then least squares."""
     steps = min(max(1, round(SEARCH_MM / gsd)), MAX_SEARCH_STEPS)
     axis = np.linspace(-SEARCH_MM, SEARCH_MM, 2 * steps + 1)
