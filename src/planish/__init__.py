@@ -1,13 +1,3 @@
-"""Registers fringe-projection measurements of feature-poor parts by their surface texture."""
+"""planish: registers fringe-projection measurements of feature-poor parts by their surface texture."""
 
-from importlib.metadata import version
-
-from planish.errors import InputError
-from planish.measurement import Measurement
-from planish.registration.result import PairResult, Registration
-from planish.rig import Camera, Rig
-from planish.sensing.capture import Capture
-
-__all__ = ["Camera", "Capture", "InputError", "Measurement", "PairResult", "Registration", "Rig", "__version__"]
-
-__version__ = version("planish")
+__version__ = "0.1.0"

@@ -165,6 +165,13 @@ class Capture:
                 )
         return images
 
+    def read_mask(self, camera: str) -> NDArray[np.bool_] | None:
+        """Return the mask (H, W) of a camera, True where the image counts, or None."""
+        for name, file in (self.manifest.mask or {}).items():
+            if name == camera:
+                return read_grey(self._inside(file)) > 0
+        return None
+
     def _inside(self, name: str, prefer: Path | None = None) -> Path:
         for folder in (prefer, self.images_dir):
             if folder is None:
