@@ -1,5 +1,5 @@
-// The module: src/bindings/ is the only folder that knows Python. It turns arrays into views, releases the GIL and turns
-// results into arrays. Names, checks, defaults and error texts belong to the Python side.
+// The module: src/bindings/ is the only folder that knows Python. It turns arrays into views, releases the GIL and
+// turns results into arrays. Names, checks, defaults and error texts belong to the Python side.
 
 #include <nanobind/nanobind.h>
 

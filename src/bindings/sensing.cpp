@@ -1,7 +1,5 @@
 // Bindings of the sensing kernels.
 
-#include "bindings/bindings.hpp"
-
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/vector.h>
@@ -14,6 +12,7 @@
 #include <thread>
 #include <vector>
 
+#include "bindings/bindings.hpp"
 #include "core/camera.hpp"
 #include "core/correspond.hpp"
 #include "core/decode_gray.hpp"
@@ -101,9 +100,9 @@ bool is_8_bit(const std::vector<AnyImage>& images) {
 
 nb::tuple decode_phase(const std::vector<AnyImage>& images, const std::vector<int>& counts,
                        const std::vector<float>& angles_cos, const std::vector<float>& angles_sin,
-                       const std::vector<float>& periods, const In<float>& coarse, float saturation,
-                       float noise_offset, float noise_slope, float max_phase_sigma_rad, float coarse_limit_px,
-                       float range_start_px, float range_length_px, int threads) {
+                       const std::vector<float>& periods, const In<float>& coarse, float saturation, float noise_offset,
+                       float noise_slope, float max_phase_sigma_rad, float coarse_limit_px, float range_start_px,
+                       float range_length_px, int threads) {
     const bool narrow = is_8_bit(images);
     const std::size_t h = images[0].shape(0), w = images[0].shape(1);
     auto position = make_array<float>({h, w}), sigma = make_array<float>({h, w}), mean = make_array<float>({h, w}),
@@ -134,8 +133,8 @@ std::vector<planish::GrayBit<T>> make_bits(const std::vector<AnyImage>& images, 
     return bits;
 }
 
-Out<float> decode_gray(const std::vector<AnyImage>& images, const std::vector<int>& inverse,
-                       const In<float>& threshold, int threads) {
+Out<float> decode_gray(const std::vector<AnyImage>& images, const std::vector<int>& inverse, const In<float>& threshold,
+                       int threads) {
     const bool narrow = is_8_bit(images);
     auto cell = make_array<float>({images[0].shape(0), images[0].shape(1)});
     const auto out = view(cell);

@@ -1,7 +1,5 @@
 // Bindings of the simulation kernels.
 
-#include "bindings/bindings.hpp"
-
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
@@ -14,6 +12,7 @@
 #include <thread>
 #include <vector>
 
+#include "bindings/bindings.hpp"
 #include "core/counter_noise.hpp"
 #include "core/render.hpp"
 

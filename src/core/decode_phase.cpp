@@ -124,7 +124,8 @@ struct Level {
 
 void unwrap(const Level& level, const DecodeSettings& settings, std::size_t width, const Row& row,
             float* __restrict position, float* __restrict variance, std::uint16_t* __restrict rejected) {
-    const float P = level.period_px, scale = P / (2 * kPi), max_variance = (kMaxUnwrapSigma * P) * (kMaxUnwrapSigma * P);
+    const float P = level.period_px, scale = P / (2 * kPi),
+                max_variance = (kMaxUnwrapSigma * P) * (kMaxUnwrapSigma * P);
     const float dark = settings.max_phase_sigma_rad * settings.max_phase_sigma_rad;
     const float start = settings.range_start_px;
     for (std::size_t u = 0; u < width; ++u) {

@@ -204,7 +204,7 @@ def _evaluate_pairs(
 ) -> dict[tuple[str, str], OverlapEvaluation]:
     accepted = [pair for pair in pairs if pair.T_a_b is not None]
     sides = {
-        name: evaluation.Prepared(p.measurement, p.surface, *p.contrast)
+        name: evaluation.Prepared(p.measurement, p.surface, p.contrast)
         for name, p in prepared.items()
         if any(name in (pair.a, pair.b) for pair in accepted)
     }
