@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
+
 import cv2
 import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
+from PIL import Image
 
 from planish.evaluation.overlap import OverlapEvaluation
 from planish.evaluation.prepared import Prepared
@@ -20,14 +23,18 @@ GAP_PX = 16
 #: No more lines than this are drawn of each kind: they would cover the texture.
 MAX_LINES = 150
 #: Grey levels of the picture (texture is noise to the compressor: fewer levels, smaller file).
-GREY_LEVELS = 48
-MATCH, CONSENSUS = "#9aa4ad", "#e0662e"
+GREY_LEVELS = 24
+#: Darkest and lightest grey of a texture: the lines must stand out.
+DARK, LIGHT = 84, 236
+#: Colours of the picture's palette; few, as texture is noise to the compressor.
+PALETTE_COLOURS = 96
+MATCH, CONSENSUS = "#2f7fc1", "#d9480f"
 
 Picture = NDArray[np.uint8]
 
 
 def texture_picture(item: Prepared, width: int = TEXTURE_PX) -> Picture:
-    """Return the local contrast as a grey picture (h, width), stretched to 3 robust standard deviations."""
+    """Return the local contrast as a grey picture (h, width), stretched to 4 robust standard deviations."""
     value = item.contrast[0]
     scale = width / value.shape[1]
     size = (width, max(1, round(value.shape[0] * scale)))
@@ -38,12 +45,12 @@ def texture_picture(item: Prepared, width: int = TEXTURE_PX) -> Picture:
         reduced = np.where(share > 0.5, reduced / share, np.nan)
     seen = reduced[np.isfinite(reduced)]
     spread = 1.4826 * float(np.median(np.abs(seen - np.median(seen)))) if len(seen) else 1.0
-    level = np.rint((0.5 + reduced / (6 * max(spread, 1e-9))).clip(0, 1) * (GREY_LEVELS - 1)) / (GREY_LEVELS - 1)
-    return np.where(np.isfinite(level), 40 + 190 * np.nan_to_num(level), 250).astype(np.uint8)
+    level = np.rint((0.5 + reduced / (8 * max(spread, 1e-9))).clip(0, 1) * (GREY_LEVELS - 1)) / (GREY_LEVELS - 1)
+    return np.where(np.isfinite(level), DARK + (LIGHT - DARK) * np.nan_to_num(level), 255).astype(np.uint8)
 
 
 def matches_png(pair: PairResult, a: Prepared, b: Prepared) -> bytes:
-    """Return both textures side by side with matches (grey) and consensus (orange) as PNG."""
+    """Return both textures side by side with matches (blue) and consensus (orange) as PNG."""
     pictures = [texture_picture(a), texture_picture(b)]
     height = max(p.shape[0] for p in pictures)
     canvas = np.full((height, 2 * TEXTURE_PX + GAP_PX, 3), 255, np.uint8)
@@ -52,11 +59,12 @@ def matches_png(pair: PairResult, a: Prepared, b: Prepared) -> bytes:
         canvas[: picture.shape[0], left : left + TEXTURE_PX] = picture[..., None]
     scales = np.array([TEXTURE_PX / item.measurement.shape[1] for item in (a, b)])
     rest = _without(pair.matches_px, pair.consensus_px)
-    canvas = _draw(canvas, rest, scales, MATCH, 0.45)
-    canvas = _draw(canvas, pair.consensus_px, scales, CONSENSUS, 0.75)
-    done, data = cv2.imencode(".png", canvas[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
-    assert done, "PNG of an 8-bit picture can always be encoded"
-    return data.tobytes()
+    canvas = _draw(canvas, rest, scales, MATCH, 0.55)
+    canvas = _draw(canvas, pair.consensus_px, scales, CONSENSUS, 0.8)
+    buffer = io.BytesIO()
+    few = Image.fromarray(canvas).quantize(PALETTE_COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
+    few.save(buffer, format="png", optimize=True)
+    return buffer.getvalue()
 
 
 def _without(matches: Array, consensus: Array) -> Array:

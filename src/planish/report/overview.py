@@ -20,6 +20,8 @@ from planish.report.style import INK, MUTED, NEUTRAL, colour, diverging_map, png
 
 #: Width of one panel [px].
 PANEL_PX = 900
+#: Panels flatter than this (height over width) stand below each other.
+STACK_BELOW = 0.6
 #: The part is seen this far from straight above, so that its relief shows [rad].
 TILT_RAD = 0.45
 #: Direction of the light in the picture's frame (x right, y down, z away from the viewer).
@@ -48,22 +50,40 @@ def overview_png(scene: Scene) -> bytes:
     has_error = any(np.isfinite(layer.error_mm).any() for layer in layers)
     if has_error:
         panels.append(("overlap error", _by_error(layers, scene.limit_mm)))
-    height = size[0] / size[1]
-    figure = Figure(figsize=(5.2 * len(panels), 5.2 * height + 0.75), layout="constrained")
-    axes = np.atleast_1d(figure.subplots(1, len(panels)))
+    figure, axes, colour_axis = _panels(len(panels), size[0] / size[1], has_error)
     for axis, (title, picture) in zip(axes, panels, strict=True):
         axis.imshow(picture, interpolation="antialiased")
-        axis.set_title(title, fontsize=11, color=INK, loc="left")
+        axis.text(0, 1.02, title, fontsize=10, color=INK, transform=axis.transAxes, va="bottom")
         axis.set_axis_off()
     _label(axes[0], layers)
     _scale_bar(axes[0], pitch, size)
-    if has_error:
+    if colour_axis is not None:
         scale = ScalarMappable(Normalize(-scene.limit_mm, scene.limit_mm), diverging_map)
-        bar = figure.colorbar(scale, ax=axes[-1], orientation="horizontal", shrink=0.55, pad=0.02, aspect=40)
+        bar = figure.colorbar(scale, cax=colour_axis, orientation="horizontal")
         bar.set_label("mm, positive = nearer to the sensor than the other measurement", fontsize=8, color=MUTED)
-        bar.ax.tick_params(labelsize=8, colors=MUTED)
+        colour_axis.tick_params(labelsize=8, colors=MUTED)
         bar.outline.set_visible(False)
     return png(figure, dpi=150)
+
+
+def _panels(count: int, ratio: float, colour_bar: bool) -> tuple[Figure, list[Axes], Axes | None]:
+    """Axes below each other for wide parts, side by side for others; `ratio` is height over width of a panel."""
+    stacked = ratio < STACK_BELOW
+    rows, columns = (count, 1) if stacked else (1, count)
+    title, gap, foot = 0.32, 0.15, 0.62 if colour_bar else 0.1
+    cell = (8.0, 8.0 * ratio) if stacked else (4.6, 4.6 * ratio)
+    width = columns * cell[0] + (columns + 1) * gap
+    height = rows * (cell[1] + title) + foot
+    figure = Figure(figsize=(width, height))
+    axes = []
+    for i in range(count):
+        row, column = (i, 0) if stacked else (0, i)
+        left, bottom = gap + column * (cell[0] + gap), height - (row + 1) * (cell[1] + title)
+        axes.append(figure.add_axes((left / width, bottom / height, cell[0] / width, cell[1] / height)))
+    if not colour_bar:
+        return figure, axes, None
+    left = gap + (columns - 1) * (cell[0] + gap) + 0.2 * cell[0]
+    return figure, axes, figure.add_axes((left / width, 0.42 / height, 0.6 * cell[0] / width, 0.1 / height))
 
 
 def _view(items: Sequence[Item]) -> tuple[Array, float, tuple[int, int]]:
@@ -128,7 +148,7 @@ def _mean(layers: Sequence[Layer], pictures: Sequence[Picture]) -> Picture:
 
 
 def _light(layer: Layer) -> Picture:
-    return (0.45 + 0.6 * layer.shade[..., None].astype(float)).clip(0, 1.05)
+    return (0.5 + 0.62 * layer.shade[..., None].astype(float)).clip(0, 1.1)
 
 
 def _by_measurement(layers: Sequence[Layer]) -> Picture:

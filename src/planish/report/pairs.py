@@ -36,7 +36,7 @@ def _pair(registration: Registration, pair: PairResult, pictures: Mapping[str, b
     matches = pictures.get(figure_name("matches", pair))
     if matches is not None:
         caption = (
-            f"Texture of {pair.a} (left) and {pair.b} (right); orange: consensus, grey: other matches "
+            f"Texture of {pair.a} (left) and {pair.b} (right); orange: consensus, blue: other matches "
             "(at most 150 of each)."
         )
         parts.append(figure(matches, caption))

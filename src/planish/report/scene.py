@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.evaluation.overlap import OverlapEvaluation
+from planish.evaluation.overlap import OverlapEvaluation, OverlapOptions
 from planish.evaluation.prepared import Prepared
 from planish.files.cloud import intensity
 from planish.geometry import transform_points
@@ -17,6 +17,8 @@ from planish.measurement import Map
 from planish.registration.result import PlacedMeasurement, Registration
 from planish.report.style import nice_limit
 
+#: Edge of the cells over which the drawn error is averaged [mm].
+CELL_MM = OverlapOptions().cell_mm
 #: Share of the overlap errors that the colour scale spans.
 ERROR_QUANTILE = 0.99
 
@@ -49,14 +51,17 @@ class Item:
     def thinned(self, step: int) -> tuple[Map, Map, Map, Map]:
         """Return points (h, w, 3) and normals in world, grey and error (h, w) of every `step`-th pixel.
 
-        Grey and error are means over the pixels that a thinned one stands for.
+        Grey is the mean over the pixels that a thinned one stands for; the error is the mean over at least the cells
+        over which min and max of the overlap error are taken, so that it shows surfaces and not noise.
         """
         picks = (slice(step // 2, None, step),) * 2
         T = self.placed.T_world_measurement
         surface = self.prepared.surface
         points = transform_points(T, surface.points_sensor[picks])
         normals = (surface.normals_sensor[picks] @ T[:3, :3].T).astype(np.float32)
-        return points, normals, box_mean(self.grey, step)[picks], box_mean(self.error_mm, step)[picks]
+        cell = max(step, round(CELL_MM / self.prepared.gsd_mm))
+        error = np.where(np.isfinite(self.error_mm), box_mean(self.error_mm, cell), np.float32(np.nan))
+        return points, normals, box_mean(self.grey, step)[picks], error[picks]
 
 
 @dataclass(frozen=True)

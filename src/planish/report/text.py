@@ -65,8 +65,10 @@ def _certainty(registration: Registration) -> str:
     if max(sigmas, default=0.0) == 0.0:
         return ""
     calibrated = any(m.covariance_calibration is not None for m in registration.measurements)
-    source = "noise and calibration" if calibrated else "noise (the rig states no covariance of its calibration)"
-    return f"A measurement's place is uncertain by up to {max(sigmas):.4f} mm (standard deviation, from {source})."
+    source = (
+        "from noise and calibration" if calibrated else "from noise alone: the rig states no covariance"
+    )
+    return f"A measurement's place has a standard deviation of up to {max(sigmas):.4f} mm ({source})."
 
 
 def position_sigma(placed: PlacedMeasurement) -> float:

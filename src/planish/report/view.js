@@ -3,7 +3,7 @@
 (function () {
   const data = JSON.parse(document.getElementById("view-data").textContent);
   const view = document.getElementById("view3d");
-  const state = { mode: "measurement", shown: data.traces.map((t) => t.group === data.groups[0]) };
+  const state = { mode: document.querySelector("input[name=mode]:checked").value, shown: data.traces.map((t) => t.group === data.groups[0]) };
 
   function colours(trace, mode) {
     if (mode === "texture") return { surfacecolor: trace.grey, colorscale: [[0, "#101214"], [1, "#f4f4f2"]] };

@@ -90,4 +90,4 @@ def _camera(scene: Scene) -> dict[str, list[float]]:
     up = across - (across @ eye) * eye
     up /= np.linalg.norm(up)
     eye = eye * 0.95 - up * 0.45
-    return {"eye": (1.5 * eye / np.linalg.norm(eye)).tolist(), "up": up.tolist()}
+    return {"eye": (1.2 * eye / np.linalg.norm(eye)).tolist(), "up": up.tolist()}
