@@ -1,84 +1,15 @@
-// The only file that knows Python: turns arrays into views, releases the GIL, turns results into arrays. Names, checks,
-// defaults and error texts belong to the Python side.
+// Bindings of the evaluation kernels.
 
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/pair.h>
 
-#include <thread>
+#include <vector>
 
-#include "core/camera.hpp"
-#include "core/image.hpp"
+#include "bindings/arrays.hpp"
+#include "bindings/bindings.hpp"
 #include "core/overlap_lookup.hpp"
 #include "core/overlap_tiles.hpp"
-#include "core/surface.hpp"
-
-namespace nb = nanobind;
-using namespace nb::literals;
 
 namespace {
-
-template <class T, int N>
-using In = nb::ndarray<const T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
-template <class T, int N>
-using Out = nb::ndarray<nb::numpy, T, nb::ndim<N>>;
-
-/// A view of an array (H, W) or (H, W, C).
-template <class T, int N>
-planish::Image<const T> view(const In<T, N>& array) {
-    static_assert(N == 2 || N == 3);
-    return {array.data(), static_cast<int>(array.shape(0)), static_cast<int>(array.shape(1)),
-            N == 3 ? static_cast<int>(array.shape(N - 1)) : 1};
-}
-
-/// A new array that owns its memory, and a view of it.
-template <class T>
-struct Owned {
-    planish::Image<T> image;
-    nb::capsule owner;
-
-    Owned(int height, int width, int channels)
-        : image{new T[static_cast<std::size_t>(height) * width * channels], height, width, channels},
-          owner(image.data, [](void* p) noexcept { delete[] static_cast<T*>(p); }) {}
-    [[nodiscard]] Out<T, 2> map() const {
-        const std::size_t shape[2] = {static_cast<std::size_t>(image.height), static_cast<std::size_t>(image.width)};
-        return Out<T, 2>(image.data, 2, shape, owner);
-    }
-    [[nodiscard]] Out<T, 3> maps() const {
-        const std::size_t shape[3] = {static_cast<std::size_t>(image.height), static_cast<std::size_t>(image.width),
-                                      static_cast<std::size_t>(image.channels)};
-        return Out<T, 3>(image.data, 3, shape, owner);
-    }
-};
-
-/// Camera from planish.rig.Camera.kernel_parameters.
-planish::Camera camera_from(const In<double, 1>& p) {
-    planish::Camera camera{};
-    const double* x = p.data();
-    camera.fx = x[0];
-    camera.fy = x[1];
-    camera.cx = x[2];
-    camera.cy = x[3];
-    camera.skew = x[4];
-    std::copy_n(x + 5, 12, camera.k.begin());
-    for (int i = 0; i < 3; ++i) {
-        for (int j = 0; j < 3; ++j) camera.R_camera_sensor(i, j) = x[17 + 3 * i + j];
-        camera.t_camera_sensor[i] = x[26 + i];
-    }
-    return camera;
-}
-
-nb::tuple fit_surface(const In<float, 3>& points, const In<double, 1>& camera, int radius, double max_slope,
-                      int threads) {
-    const auto in = view<float, 3>(points);
-    Owned<float> smoothed(in.height, in.width, 3), normals(in.height, in.width, 3), tangents(in.height, in.width, 6);
-    {
-        nb::gil_scoped_release release;
-        planish::fit_surface(in, camera_from(camera), {radius, max_slope}, threads, smoothed.image, normals.image,
-                             tangents.image);
-    }
-    return nb::make_tuple(smoothed.maps(), normals.maps(), tangents.maps());
-}
 
 // --- evaluation ---
 
@@ -178,26 +109,9 @@ Out<double, 2> shift_scores(const In<float, 2>& value_a, const In<float, 2>& sig
     return out.map();
 }
 
-bool cpu_has_avx2() {
-#if defined(__x86_64__) && (defined(__GNUC__) || defined(__clang__))
-    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-#else
-    return false;
-#endif
-}
-
 }  // namespace
 
-NB_MODULE(PLANISH_MODULE, m) {
-    m.def("cpu_has_avx2", &cpu_has_avx2, "True where the AVX2 + FMA build of the kernels may be used.");
-    m.def("cpu_count", [] { return static_cast<int>(std::thread::hardware_concurrency()); });
-
-    // --- sensing -----------------------------------------------------------------------------------------------
-
-    // --- registration ------------------------------------------------------------------------------------------
-    m.def("fit_surface", &fit_surface, "points"_a, "camera"_a, "radius"_a, "max_slope"_a, "threads"_a);
-
-    // --- evaluation --------------------------------------------------------------------------------------------
+void bind_evaluation(nb::module_& m) {
     m.def("look_up_distance", &look_up_distance, "points_a"_a, "normals_a"_a, "camera_a"_a, "points_b"_a, "normals_b"_a,
           "T_a_b"_a, "max_distance"_a, "with_pixels"_a, "threads"_a);
     m.def("cell_medians", &cell_medians, "map"_a, "size"_a, "min_count"_a, "threads"_a);
@@ -207,6 +121,4 @@ NB_MODULE(PLANISH_MODULE, m) {
           "size"_a, "start_1"_a, "start_2"_a, "threads"_a);
     m.def("shift_scores", &shift_scores, "value_a"_a, "sigma_a"_a, "value_b"_a, "sigma_b"_a, "pixels_b"_a, "tiles"_a,
           "size"_a, "shifts"_a, "threads"_a);
-
-    // --- simulation --------------------------------------------------------------------------------------------
 }
