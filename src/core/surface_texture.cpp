@@ -1,0 +1,156 @@
+#include "core/surface_texture.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace planish {
+
+namespace {
+
+constexpr double kBin = 4.0;  // [mm]
+/// A scratch ends this many standard deviations from its middle line.
+constexpr double kScratchReach = 3.5;
+/// Specks and smudges are ragged: their radius varies by this share.
+constexpr double kRagged = 0.25;
+/// Reflectance never falls below this share of the mean: dirt is not a black hole.
+constexpr double kDarkest = 0.02;
+
+/// Integer hash with low bias (C. Wellons, Prospecting for hash functions, "lowbias32").
+inline std::uint32_t mix(std::uint32_t x) {
+    x ^= x >> 16;
+    x *= 0x7feb352du;
+    x ^= x >> 15;
+    x *= 0x846ca68bu;
+    return x ^ (x >> 16);
+}
+
+/// Weights of the uniform cubic B-spline at the fraction f of a cell.
+inline void spline_weights(float f, float* w) {
+    const float g = 1 - f, f2 = f * f, g2 = g * g;
+    w[0] = g2 * g / 6;
+    w[1] = (4 - 6 * f2 + 3 * f2 * f) / 6;
+    w[2] = (4 - 6 * g2 + 3 * g2 * g) / 6;
+    w[3] = f2 * f / 6;
+}
+
+double smooth_edge(double x) {
+    x = std::clamp(x, 0.0, 1.0);
+    return x * x * (3 - 2 * x);
+}
+
+}  // namespace
+
+double lattice_noise(double x, double y, std::uint32_t seed) {
+    const double fx = std::floor(x), fy = std::floor(y);
+    float wx[4], wy[4];
+    spline_weights(static_cast<float>(x - fx), wx);
+    spline_weights(static_cast<float>(y - fy), wy);
+    const auto ix = static_cast<std::uint32_t>(static_cast<std::int64_t>(fx));
+    const auto iy = static_cast<std::uint32_t>(static_cast<std::int64_t>(fy));
+    std::uint32_t row[4];
+    for (std::uint32_t j = 0; j < 4; ++j) row[j] = mix((iy + j) ^ seed);
+    float value[16];
+    for (std::uint32_t i = 0; i < 16; ++i) {
+        value[i] = static_cast<float>(static_cast<std::int32_t>(mix(row[i / 4] + (ix + i % 4) * 0x9E3779B9u)));
+    }
+    float sum = 0;
+    for (int j = 0; j < 4; ++j) {
+        float line = 0;
+        for (int i = 0; i < 4; ++i) line += wx[i] * value[4 * j + i];
+        sum += wy[j] * line;
+    }
+    // Uniform numbers in [-1, 1) have variance 1/3; the squared weights of the spline add up to 151/315 per axis.
+    return sum * 0x1p-31 * 1.7320508075688772 * 315.0 / 151.0;
+}
+
+SurfaceTexture::SurfaceTexture(double albedo, std::vector<GrainScale> grain, std::vector<Mark> marks, double half_s,
+                               double half_t)
+    : albedo_(albedo), grain_(std::move(grain)), marks_(std::move(marks)) {
+    for (const auto& scale : grain_) {
+        const double c = std::cos(scale.angle), s = std::sin(scale.angle);
+        frames_.push_back({c / scale.along_mm, s / scale.along_mm, -s / scale.across_mm, c / scale.across_mm});
+    }
+    index_marks(half_s, half_t);
+}
+
+void SurfaceTexture::index_marks(double half_s, double half_t) {
+    if (marks_.empty()) return;
+    origin_s_ = -half_s;
+    origin_t_ = -half_t;
+    bins_s_ = static_cast<int>(2 * half_s / kBin) + 1;
+    bins_t_ = static_cast<int>(2 * half_t / kBin) + 1;
+    std::vector<std::pair<int, int>> entries;
+    const auto add_disc = [&](double s, double t, double radius, int mark) {
+        const auto cell = [](double x, double origin, int bins) {
+            return std::clamp(static_cast<int>(std::floor((x - origin) / kBin)), -1, bins);
+        };
+        const int s0 = cell(s - radius, origin_s_, bins_s_), s1 = cell(s + radius, origin_s_, bins_s_);
+        const int t0 = cell(t - radius, origin_t_, bins_t_), t1 = cell(t + radius, origin_t_, bins_t_);
+        for (int j = std::max(t0, 0); j <= std::min(t1, bins_t_ - 1); ++j)
+            for (int i = std::max(s0, 0); i <= std::min(s1, bins_s_ - 1); ++i)
+                entries.emplace_back(j * bins_s_ + i, mark);
+    };
+    for (int m = 0; m < static_cast<int>(marks_.size()); ++m) {
+        const Mark& mark = marks_[m];
+        if (mark.kind != Mark::Kind::scratch) {
+            add_disc(mark.s, mark.t, std::max(mark.half_length, mark.half_width) / (1 - 4 * kRagged / 2), m);
+            continue;
+        }
+        // Discs along the bow, so that a long scratch does not fill a square of bins.
+        const double c = std::cos(mark.angle), s = std::sin(mark.angle);
+        for (double x = -mark.half_length; x <= mark.half_length + kBin / 2; x += kBin / 2) {
+            const double y = mark.curvature * x * x;
+            add_disc(mark.s + c * x - s * y, mark.t + s * x + c * y, kBin / 2 + kScratchReach * mark.half_width, m);
+        }
+    }
+    std::sort(entries.begin(), entries.end());
+    entries.erase(std::unique(entries.begin(), entries.end()), entries.end());
+    bin_begin_.assign(static_cast<std::size_t>(bins_s_) * bins_t_ + 1, 0);
+    for (const auto& [bin, mark] : entries) {
+        ++bin_begin_[bin + 1];
+        bin_marks_.push_back(mark);
+    }
+    for (std::size_t i = 1; i < bin_begin_.size(); ++i) bin_begin_[i] += bin_begin_[i - 1];
+}
+
+double SurfaceTexture::profile(const Mark& mark, double s, double t) const {
+    const double c = std::cos(mark.angle), d = std::sin(mark.angle), ds = s - mark.s, dt = t - mark.t;
+    const double x = c * ds + d * dt, y = -d * ds + c * dt;
+    if (mark.kind == Mark::Kind::scratch) {
+        const double e = x / mark.half_length, q = (y - mark.curvature * x * x) / mark.half_width;
+        if (e * e >= 1 || std::abs(q) > kScratchReach) return 0;
+        return std::exp(-0.5 * q * q) * (1 - e * e * e * e);
+    }
+    const double ex = x / mark.half_length, ey = y / mark.half_width, r = std::sqrt(ex * ex + ey * ey);
+    if (r > 1 / (1 - 4 * kRagged / 2)) return 0;
+    const auto seed = static_cast<std::uint32_t>(static_cast<std::int64_t>(1000 * (mark.s + 7 * mark.t)));
+    const double wobble = std::clamp(kRagged * lattice_noise(2 * ex, 2 * ey, seed), -2 * kRagged, 2 * kRagged);
+    if (mark.kind == Mark::Kind::speck) return smooth_edge((1 - r * (1 + wobble)) / 0.4);
+    // A wiped smudge: no edge, streaks inside.
+    const double streaks = 0.75 + 0.25 * lattice_noise(1.5 * ex, 9 * ey, seed + 1);
+    return smooth_edge(1 - r * (1 + wobble)) * streaks;
+}
+
+double SurfaceTexture::albedo(double s, double t) const {
+    double factor = 1;
+    for (std::size_t i = 0; i < grain_.size(); ++i) {
+        const Frame& f = frames_[i];
+        factor += grain_[i].amplitude *
+                  lattice_noise(f.along_s * s + f.along_t * t, f.across_s * s + f.across_t * t, grain_[i].seed);
+    }
+    if (!marks_.empty()) {
+        const int i = static_cast<int>(std::floor((s - origin_s_) / kBin));
+        const int j = static_cast<int>(std::floor((t - origin_t_) / kBin));
+        if (i >= 0 && i < bins_s_ && j >= 0 && j < bins_t_) {
+            const std::size_t bin = static_cast<std::size_t>(j) * bins_s_ + i;
+            for (int k = bin_begin_[bin]; k < bin_begin_[bin + 1]; ++k) {
+                const Mark& mark = marks_[bin_marks_[k]];
+                factor *= 1 + mark.contrast * profile(mark, s, t);
+            }
+        }
+    }
+    return albedo_ * std::max(factor, kDarkest);
+}
+
+}  // namespace planish

@@ -1,0 +1,117 @@
+"""From a scene to images and true points, in memory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish import _core
+from planish.errors import InputError
+from planish.geometry import Array, invert, transform_points
+from planish.options import thread_count
+from planish.rig import Camera
+from planish.simulation.light import kernel_light
+from planish.simulation.scenes import Scene
+from planish.simulation.sensor import kernel_sensor, projected_patterns
+from planish.simulation.texture import kernel_texture
+
+Images = NDArray[np.uint8] | NDArray[np.uint16]
+Mask = NDArray[np.bool_]
+
+#: Streams of noise per capture and camera: more images than any sequence has.
+_IMAGES_PER_STREAM = 1 << 12
+#: Half size [mm] of the background's texture: what a camera can see of it.
+_BACKGROUND_HALF = 900.0
+
+
+def render_capture(scene: Scene, index: int, threads: int | None = None) -> dict[str, Images]:
+    """Return the images (N, H, W) of each camera of capture `index`, uint8 or uint16; N = length of the sequence.
+
+    The bytes depend on the scene alone, not on the number of threads.
+    """
+    T = _pose(scene, index)
+    patterns = projected_patterns(scene.sequence, scene.sensor, scene.rig)
+    out: dict[str, Images] = {}
+    for number, (name, camera) in enumerate(scene.rig.cameras.items()):
+        width, height = camera.size_px
+        shape = (len(scene.sequence), height, width)
+        stream = (2 * index + number) * _IMAGES_PER_STREAM
+        sensor = kernel_sensor(scene.sensor, name, camera.size_px, scene.seed, stream)
+        values = _kernel_scene(scene, T, name)
+        if scene.sensor.bits == 8:
+            images = np.empty(shape, np.uint8)
+            _core.render_images_8(values, patterns, sensor, images, thread_count(threads))
+            out[name] = images
+        else:
+            deep = np.empty(shape, np.uint16)
+            _core.render_images_16(values, patterns, sensor, deep, thread_count(threads))
+            out[name] = deep
+    return out
+
+
+def true_points(scene: Scene, index: int, camera: str, threads: int | None = None) -> Array:
+    """Return the true points (H, W, 3) [mm], sensor frame, at the pixel centres; NaN where the part is not seen."""
+    return trace_capture(scene, index, camera, threads)[0]
+
+
+def trace_capture(scene: Scene, index: int, camera: str, threads: int | None = None) -> tuple[Array, Mask]:
+    """Return the true points (H, W, 3) [mm] in the sensor frame, and the pixels (H, W) that can be measured.
+
+    A pixel can be measured where its point is lit by the projector and seen by both cameras, within their images.
+    """
+    T = _pose(scene, index)
+    width, height = scene.rig.cameras[camera].size_px
+    points, lit = np.empty((height, width, 3)), np.empty((height, width), np.uint8)
+    values = _kernel_scene(scene, T, camera)
+    other = scene.rig.other(camera)
+    if other is not None:
+        values["other_center"] = transform_points(T, scene.rig.cameras[other].center_sensor)
+    _core.trace_image(values, points, lit, thread_count(threads))
+    points_sensor = transform_points(invert(T), points)
+    seen = lit.astype(bool)
+    assert scene.rig.projector is not None
+    for device in (scene.rig.projector, *([] if other is None else [scene.rig.cameras[other]])):
+        seen[seen] &= _inside(device, points_sensor[seen])
+    return points_sensor, seen
+
+
+def _pose(scene: Scene, index: int) -> Array:
+    if not 0 <= index < len(scene.T_object_sensor):
+        raise InputError("capture", f"found {index}", f"0 to {len(scene.T_object_sensor) - 1}")
+    return scene.T_object_sensor[index]
+
+
+def _inside(device: Camera, points_sensor: Array) -> Mask:
+    pixels = device.project(points_sensor)
+    limits = np.array(device.size_px) - 0.5
+    return np.asarray(((pixels >= -0.5) & (pixels <= limits)).all(-1))
+
+
+def _kernel_scene(scene: Scene, T_object_sensor: Array, camera: str) -> dict[str, Any]:
+    surface, rig = scene.surface, scene.rig
+    assert rig.projector is not None
+    values = {
+        "camera": _in_object_frame(rig.cameras[camera], T_object_sensor).kernel_parameters,
+        "projector": _in_object_frame(rig.projector, T_object_sensor).kernel_parameters,
+        "surface": surface.kernel_values,
+        "texture": kernel_texture(scene.texture, surface.half_s, surface.half_t, scene.seed),
+        "light": kernel_light(scene.light, rig, T_object_sensor),
+    }
+    if scene.background is not None:
+        x, y, z, origin = T_object_sensor[:3].T
+        values["background"] = {
+            "origin": origin + scene.background.z_mm * z,
+            "axis_x": x.copy(), "axis_y": y.copy(), "normal": z.copy(),
+            # The key differs from the part's, so that part and background never share their grain.
+            "texture": kernel_texture(
+                scene.background.texture, _BACKGROUND_HALF, _BACKGROUND_HALF, scene.sensor.seed + (1 << 32)
+            ),
+        }  # fmt: skip
+    return values
+
+
+def _in_object_frame(camera: Camera, T_object_sensor: Array) -> Camera:
+    return replace(camera, T_camera_sensor=camera.T_camera_sensor @ invert(T_object_sensor))

@@ -1,0 +1,104 @@
+"""The files of a simulated run: per capture a folder that `measure` reads, beside them the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from planish import storage
+from planish.errors import InputError
+from planish.options import thread_count
+from planish.sensing.capture import SCHEMA as CAPTURE_SCHEMA
+from planish.sensing.capture import Entry, Gray, Phase
+from planish.simulation.render import Images, render_capture, trace_capture
+from planish.simulation.scenes import Scene
+
+TRUTH_SCHEMA = "planish.truth/1"
+
+
+def write_scene(
+    scene: Scene, out: Path, *, true_points: bool = True, threads: int | None = None,
+    progress: Callable[[str], None] = lambda name: None,
+) -> list[Path]:  # fmt: skip
+    """Render and write all captures; return their folders.
+
+    Writes out/NAME/{capture.json, rig.json, A_00_....png, ...}, out/truth.json and, with `true_points`,
+    out/NAME/truth_A.npz and truth_B.npz: `points_sensor` (H, W, 3) float32 [mm], NaN where there is none, and `seen`
+    (H, W), the pixels whose point both cameras see and the projector lights.
+
+    Raises
+    ------
+    InputError
+        Where `out` cannot be written.
+    """
+    out = Path(out)
+    folders = []
+    for index, name in enumerate(scene.names):
+        progress(name)
+        folder = out / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(folder, f"cannot be made ({error.strerror})", "a folder that can be written") from None
+        _write_images(folder, scene, render_capture(scene, index, threads), thread_count(threads))
+        if true_points:
+            for camera in scene.rig.cameras:
+                points, seen = trace_capture(scene, index, camera, threads)
+                with storage.replacing(folder / f"truth_{camera}.npz") as temporary, temporary.open("wb") as file:
+                    np.savez(file, points_sensor=points.astype(np.float32), seen=seen)
+        folders.append(folder)
+    storage.write_json(out / "truth.json", {"schema": TRUTH_SCHEMA, "measurements": _truth(scene)})
+    return folders
+
+
+def _truth(scene: Scene) -> list[dict[str, object]]:
+    return [
+        {"name": name, "part": scene.part, "T_object_sensor": T.tolist()}
+        for name, T in zip(scene.names, scene.T_object_sensor, strict=True)
+    ]
+
+
+def _write_images(folder: Path, scene: Scene, images: dict[str, Images], threads: int) -> None:
+    names = {camera: _image_names(camera, scene.sequence) for camera in images}
+    jobs = [(folder / names[camera][k], stack[k]) for camera, stack in images.items() for k in range(len(stack))]
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(lambda job: _write_png(*job), jobs))
+    scene.rig.save(folder / "rig.json")
+    assert scene.rig.projector is not None
+    manifest = {
+        "schema": CAPTURE_SCHEMA,
+        "name": folder.name,
+        "rig": "rig.json",
+        "images": names,
+        "sequence": [entry.model_dump() for entry in scene.sequence],
+        "projector_px": list(scene.rig.projector.size_px),
+    }
+    storage.write_json(folder / "capture.json", manifest)
+
+
+def _image_names(camera: str, sequence: Sequence[Entry]) -> list[str]:
+    return [f"{camera}_{k:02d}_{_label(entry)}.png" for k, entry in enumerate(sequence)]
+
+
+def _label(entry: Entry) -> str:
+    if isinstance(entry, Phase):
+        return f"phase_{entry.axis}_{entry.period_px:g}_{entry.step}"
+    if isinstance(entry, Gray):
+        return f"gray_{entry.axis}_{entry.bit}{'_inverse' if entry.inverse else ''}"
+    return entry.role
+
+
+def _write_png(path: Path, image: Images) -> None:
+    # Noise does not compress: the fastest level costs little space.
+    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    if not done:
+        raise AssertionError(f"{path}: PNG encoding failed")
+    try:
+        with storage.replacing(path) as temporary:
+            data.tofile(temporary)
+    except OSError as error:
+        raise InputError(path, f"cannot be written ({error.strerror})", "a writable folder") from None
