@@ -187,7 +187,8 @@ void intersect(const nb::dict& surface_values, const Matrix& origins, const Matr
 void albedo(const nb::dict& texture_values, const Matrix& at,
             nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> out) {
     const planish::SurfaceTexture what = texture(texture_values);
-    for (std::size_t i = 0; i < at.shape(0); ++i) out(i) = what.albedo(at(i, 0), at(i, 1));
+    planish::SurfaceTexture::Cursor cursor;
+    for (std::size_t i = 0; i < at.shape(0); ++i) out(i) = what.albedo(at(i, 0), at(i, 1), cursor);
 }
 
 void normal_numbers(std::uint64_t seed, std::uint64_t stream,

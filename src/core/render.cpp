@@ -141,77 +141,112 @@ float bilinear(const Image<const float>& map, double u, double v) {
            b * ((1 - a) * at(iv + 1, iu) + a * at(iv + 1, iu + 1));
 }
 
-/// Light of the sub-pixel samples on the padded image: pattern * projected + constant. A row of samples is stored as
-/// `supersampling` planes (one per sample column of a pixel), so that filters run over contiguous memory.
-struct Layers {
-    int pad, scale, width, height;  ///< width and height [px] with the padding
+/// cos(2 pi x) by linear interpolation (error 5e-6): the pixel grid asks for it twice per sample.
+class CosineTable {
+  public:
+    CosineTable() {
+        for (int i = 0; i <= kSize; ++i) value_[i] = static_cast<float>(std::cos(2 * std::numbers::pi * i / kSize));
+    }
+    [[nodiscard]] float operator()(double turns) const {
+        const auto x = static_cast<float>((turns - std::floor(turns)) * kSize);
+        const int i = std::min(static_cast<int>(x), kSize - 1);
+        return value_[i] + (x - static_cast<float>(i)) * (value_[i + 1] - value_[i]);
+    }
+
+  private:
+    static constexpr int kSize = 1024;
+    float value_[kSize + 1];
+};
+
+/// Light of the samples of one pixel row: pattern * projected + constant. A row of samples is stored as `scale` planes
+/// (one per sample column of a pixel), so that filters run over contiguous memory.
+struct SampleRows {
+    int scale, width;  ///< samples per pixel and axis; width [px] with the padding
     std::vector<float> projected, constant, u, v;
 
-    Layers(int image_width, int image_height, int padding, int supersampling)
-        : pad(padding), scale(supersampling), width(image_width + 2 * padding), height(image_height + 2 * padding) {
-        const std::size_t count = static_cast<std::size_t>(width) * height * scale * scale;
-        for (auto* layer : {&projected, &constant, &u, &v}) layer->resize(count);
+    SampleRows(int padded_width, int supersampling) : scale(supersampling), width(padded_width) {
+        for (auto* layer : {&projected, &constant, &u, &v}) layer->resize(row(scale));
+    }
+    void clear() {
+        for (auto* layer : {&projected, &constant, &u, &v}) std::fill(layer->begin(), layer->end(), 0.f);
     }
     [[nodiscard]] std::size_t row(int sample_row) const { return static_cast<std::size_t>(sample_row) * scale * width; }
 };
 
-float grid_factor(double u, double v, double depth) {
-    // First harmonic of the dark lines between projector pixels; the lens passes no more.
-    constexpr double k = 2 * std::numbers::pi;
-    return static_cast<float>(1 + depth * 0.5 * (std::cos(k * u) + std::cos(k * v)));
-}
+/// Gives the samples of one pixel row after the other, from rays at the pixel centres and their neighbours.
+class RowShader {
+  public:
+    RowShader(const RenderScene& scene, const ProjectedPatterns& patterns, int image_width, int pad, int supersampling)
+        : rows(image_width + 2 * pad, supersampling), scene_(scene), patterns_(patterns), tracer_(scene), pad_(pad) {
+        for (auto& line : lines_) line.resize(static_cast<std::size_t>(rows.width) + 2);
+    }
 
-void shade_pixel(const RenderScene& scene, const Tracer& tracer, const ProjectedPatterns& patterns,
-                 const Expansion& around, const Eigen::Vector2d& pixel, int row, int column, double hint,
-                 Layers& layers) {
-    const int n = layers.scale;
-    for (int j = 0; j < n; ++j) {
-        for (int i = 0; i < n; ++i) {
-            const double dx = (i + 0.5) / n - 0.5, dy = (j + 0.5) / n - 0.5;
-            const Sample s = around.smooth() ? around.at(dx, dy) : tracer.sample(pixel + Eigen::Vector2d(dx, dy), hint);
-            if (s.patch < 0) continue;
-            const SurfaceTexture& texture = s.patch == kBackgroundPatch ? scene.background->texture : scene.texture;
-            const auto albedo = static_cast<float>(texture.albedo(s.s, s.t));
-            const std::size_t k = layers.row(row * n + j) + static_cast<std::size_t>(i) * layers.width + column;
-            float gain = bilinear(patterns.gain, s.u, s.v);
-            if (patterns.grid_depth > 0) gain *= grid_factor(s.u, s.v, patterns.grid_depth);
-            layers.projected[k] = (albedo * s.diffuse + s.specular) * gain;
-            layers.constant[k] = albedo * s.ambient_diffuse + s.ambient_specular;
-            layers.u[k] = static_cast<float>(s.u);
-            layers.v[k] = static_cast<float>(s.v);
+    /// Starts before pixel row `first` (counted without padding).
+    void start(int first) {
+        next_ = first;
+        trace_line(first - 1);
+        trace_line(first);
+    }
+
+    /// Fills `rows` with the samples of the next pixel row.
+    void advance() {
+        trace_line(next_ + 1);
+        rows.clear();
+        for (int column = 0; column < rows.width; ++column) {
+            const Sample* here = &line(next_)[column + 1];
+            const Expansion around(&line(next_ - 1)[column + 1], here, &line(next_ + 1)[column + 1]);
+            if (!(around.smooth() && here->patch < 0)) shade(around, column);
+        }
+        ++next_;
+    }
+
+    SampleRows rows;
+
+  private:
+    std::vector<Sample>& line(int row) { return lines_[(row + 3 * pad_ + 3) % 3]; }
+
+    void trace_line(int row) {
+        double hint = -1;  // restarted in every row, so that nothing depends on the blocks of the threads
+        std::vector<Sample>& out = line(row);
+        for (int i = 0; i < rows.width + 2; ++i) out[i] = tracer_.sample(Eigen::Vector2d(i - pad_ - 1, row), hint);
+    }
+
+    void shade(const Expansion& around, int column) {
+        const int n = rows.scale;
+        double hint = -1;
+        for (int j = 0; j < n; ++j) {
+            for (int i = 0; i < n; ++i) {
+                const double dx = (i + 0.5) / n - 0.5, dy = (j + 0.5) / n - 0.5;
+                const Sample s = around.smooth()
+                                     ? around.at(dx, dy)
+                                     : tracer_.sample(Eigen::Vector2d(column - pad_ + dx, next_ + dy), hint);
+                if (s.patch >= 0) store(s, rows.row(j) + static_cast<std::size_t>(i) * rows.width + column);
+            }
         }
     }
-}
 
-Layers render_layers(const RenderScene& scene, const ProjectedPatterns& patterns, int width, int height, int pad,
-                     int supersampling, int threads) {
-    const Tracer tracer(scene);
-    Layers layers(width, height, pad, supersampling);
-    // One pixel more on every side, for the neighbours of the expansion.
-    const int grid_width = layers.width + 2, grid_height = layers.height + 2;
-    std::vector<Sample> grid(static_cast<std::size_t>(grid_width) * grid_height);
-    parallel_for(grid_height, threads, [&](std::size_t first, std::size_t last) {
-        for (std::size_t row = first; row < last; ++row) {
-            double hint = -1;  // restarted in every row, so that nothing depends on the blocks of the threads
-            for (int column = 0; column < grid_width; ++column) {
-                const Eigen::Vector2d pixel(column - pad - 1, static_cast<double>(row) - pad - 1);
-                grid[row * grid_width + column] = tracer.sample(pixel, hint);
-            }
-        }
-    });
-    parallel_for(layers.height, threads, [&](std::size_t first, std::size_t last) {
-        for (std::size_t row = first; row < last; ++row) {
-            for (int column = 0; column < layers.width; ++column) {
-                const Sample* here = &grid[(row + 1) * grid_width + column + 1];
-                const Expansion around(here - grid_width, here, here + grid_width);
-                if (around.smooth() && here->patch < 0) continue;
-                const Eigen::Vector2d pixel(column - pad, static_cast<double>(row) - pad);
-                shade_pixel(scene, tracer, patterns, around, pixel, static_cast<int>(row), column, -1, layers);
-            }
-        }
-    });
-    return layers;
-}
+    void store(const Sample& s, std::size_t at) {
+        const bool on_part = s.patch != kBackgroundPatch;
+        const SurfaceTexture& texture = on_part ? scene_.texture : scene_.background->texture;
+        const auto albedo = static_cast<float>(texture.albedo(s.s, s.t, on_part ? on_part_ : on_background_));
+        float gain = bilinear(patterns_.gain, s.u, s.v);
+        // First harmonic of the dark lines between projector pixels; the lens passes no more.
+        const auto depth = static_cast<float>(0.5 * patterns_.grid_depth);
+        if (depth > 0) gain *= 1 + depth * (cosine_(s.u) + cosine_(s.v));
+        rows.projected[at] = (albedo * s.diffuse + s.specular) * gain;
+        rows.constant[at] = albedo * s.ambient_diffuse + s.ambient_specular;
+        rows.u[at] = static_cast<float>(s.u);
+        rows.v[at] = static_cast<float>(s.v);
+    }
+
+    const RenderScene& scene_;
+    const ProjectedPatterns& patterns_;
+    Tracer tracer_;
+    CosineTable cosine_;
+    SurfaceTexture::Cursor on_part_, on_background_;
+    int pad_, next_ = 0;
+    std::vector<Sample> lines_[3];
+};
 
 /// Pixel area convolved with the Gaussian of the lens, at the sample positions of pixels -pad .. pad; sum 1.
 std::vector<float> pixel_kernel(double psf_px, int pad, int supersampling) {
@@ -264,6 +299,68 @@ void digitise(const float* radiance, const float* response, const float* normal,
     }
 }
 
+/// Projects the patterns onto the samples and filters them to pixels: along u at once, along v when all rows are there.
+class ImageFilter {
+  public:
+    ImageFilter(const ProjectedPatterns& patterns, std::vector<float> kernel, int images, int width)
+        : patterns_(patterns), kernel_(std::move(kernel)), taps_(static_cast<int>(kernel_.size())), width_(width) {
+        ring_.resize(static_cast<std::size_t>(images) * taps_ * width);
+        any_v_ = std::find(patterns.along_v.begin(), patterns.along_v.end(), 1) != patterns.along_v.end();
+    }
+
+    /// Takes row j of `rows` as sample row number `sample_row` of the image.
+    void add(const SampleRows& rows, int j, int sample_row) {
+        const std::size_t at = rows.row(j), count = static_cast<std::size_t>(rows.scale) * rows.width;
+        line_.resize(count);
+        along_u_.locate(&rows.u[at], count, patterns_);
+        if (any_v_) along_v_.locate(&rows.v[at], count, patterns_);
+        for (int k = 0; k < patterns_.profiles.height; ++k) {
+            project(patterns_.along_v[k] ? along_v_ : along_u_, patterns_.profiles.row(k), &rows.projected[at],
+                    &rows.constant[at], count);
+            float* target = ring_row(k, sample_row);
+            std::fill_n(target, width_, 0.f);
+            for (int tap = 0; tap < taps_; ++tap) {
+                const std::size_t plane = tap % rows.scale, offset = tap / rows.scale;
+                accumulate(kernel_[tap], &line_[plane * rows.width + offset], target);
+            }
+        }
+    }
+
+    /// Adds up the filtered rows from `sample_row` on into one pixel row of image k.
+    void column_sum(int k, int sample_row, std::vector<float>& sum) {
+        std::fill(sum.begin(), sum.end(), 0.f);
+        for (int tap = 0; tap < taps_; ++tap) accumulate(kernel_[tap], ring_row(k, sample_row + tap), sum.data());
+    }
+
+    [[nodiscard]] int taps() const { return taps_; }
+
+  private:
+    void project(const ProfileLookup& lookup, const float* profile, const float* projected, const float* constant,
+                 std::size_t count) {
+        const int* cell = lookup.cell.data();
+        const float* fraction = lookup.fraction.data();
+        float* out = line_.data();
+        for (std::size_t i = 0; i < count; ++i) {
+            const float low = profile[cell[i]], high = profile[cell[i] + 1];
+            out[i] = projected[i] * (low + fraction[i] * (high - low)) + constant[i];
+        }
+    }
+
+    void accumulate(float weight, const float* source, float* target) const {
+        for (int u = 0; u < width_; ++u) target[u] += weight * source[u];
+    }
+
+    float* ring_row(int image, int sample_row) {
+        return ring_.data() + (static_cast<std::size_t>(image) * taps_ + sample_row % taps_) * width_;
+    }
+
+    const ProjectedPatterns& patterns_;
+    std::vector<float> kernel_, ring_, line_;
+    ProfileLookup along_u_, along_v_;
+    int taps_, width_;
+    bool any_v_;
+};
+
 }  // namespace
 
 template <class Pixel>
@@ -271,54 +368,24 @@ void render_images(const RenderScene& scene, const ProjectedPatterns& patterns, 
                    std::span<const Image<Pixel>> out, int threads) {
     const int width = sensor.response.width, height = sensor.response.height, n = sensor.supersampling;
     const int pad = static_cast<int>(std::ceil(3.5 * sensor.psf_px + 0.5));
-    const Layers layers = render_layers(scene, patterns, width, height, pad, n, threads);
     const std::vector<float> kernel = pixel_kernel(sensor.psf_px, pad, n);
-    const int taps = static_cast<int>(kernel.size()), images = static_cast<int>(out.size());
-    const std::size_t row_samples = static_cast<std::size_t>(n) * layers.width;
+    const int images = static_cast<int>(out.size());
+    // Blocks of four normal numbers start at the begin of a row.
     const auto noise_width = static_cast<std::uint32_t>((width + 3) / 4 * 4);
-    const bool any_v = std::find(patterns.along_v.begin(), patterns.along_v.end(), 1) != patterns.along_v.end();
 
     parallel_for(height, threads, [&](std::size_t first, std::size_t last) {
-        // Rows of samples, filtered along u, in a ring as long as the filter along v.
-        std::vector<float> ring(static_cast<std::size_t>(images) * taps * width), line(row_samples), sum(width);
-        std::vector<float> normal(noise_width);
-        ProfileLookup along_u, along_v;
-        const auto ring_row = [&](int image, int sample_row) {
-            return ring.data() + (static_cast<std::size_t>(image) * taps + sample_row % taps) * width;
-        };
-        const auto filter_row = [&](int sample_row) {
-            const std::size_t at = layers.row(sample_row);
-            along_u.locate(&layers.u[at], row_samples, patterns);
-            if (any_v) along_v.locate(&layers.v[at], row_samples, patterns);
-            const float *projected = &layers.projected[at], *constant = &layers.constant[at];
+        RowShader shader(scene, patterns, width, pad, n);
+        ImageFilter filter(patterns, kernel, images, width);
+        std::vector<float> sum(width), normal(noise_width);
+        const int begin = static_cast<int>(first), end = static_cast<int>(last);
+        shader.start(begin - pad);
+        for (int row = begin - pad; row < end + pad; ++row) {
+            shader.advance();
+            for (int j = 0; j < n; ++j) filter.add(shader.rows, j, (row + pad) * n + j);
+            const int v = row - pad;
+            if (v < begin) continue;
             for (int k = 0; k < images; ++k) {
-                const ProfileLookup& lookup = patterns.along_v[k] ? along_v : along_u;
-                const float* profile = patterns.profiles.row(k);
-                const int* cell = lookup.cell.data();
-                const float* fraction = lookup.fraction.data();
-                for (std::size_t i = 0; i < row_samples; ++i) {
-                    const float low = profile[cell[i]], high = profile[cell[i] + 1];
-                    line[i] = projected[i] * (low + fraction[i] * (high - low)) + constant[i];
-                }
-                float* target = ring_row(k, sample_row);
-                std::fill_n(target, width, 0.f);
-                for (int j = 0; j < taps; ++j) {
-                    const float w = kernel[j];
-                    const float* source = &line[static_cast<std::size_t>(j % n) * layers.width + j / n];
-                    for (int u = 0; u < width; ++u) target[u] += w * source[u];
-                }
-            }
-        };
-        int next = static_cast<int>(first) * n;
-        for (int v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
-            for (; next < v * n + taps; ++next) filter_row(next);
-            for (int k = 0; k < images; ++k) {
-                std::fill(sum.begin(), sum.end(), 0.f);
-                for (int j = 0; j < taps; ++j) {
-                    const float w = kernel[j];
-                    const float* source = ring_row(k, v * n + j);
-                    for (int u = 0; u < width; ++u) sum[u] += w * source[u];
-                }
+                filter.column_sum(k, v * n, sum);
                 normal_numbers(sensor.seed, sensor.stream + k, static_cast<std::uint32_t>(v) * noise_width, normal);
                 digitise(sum.data(), sensor.response.row(v), normal.data(), width, sensor, out[k].row(v));
             }

@@ -77,8 +77,8 @@ double Surface::slope_bound(const Eigen::Vector3d& a, const Eigen::Vector3d& b) 
     if (kind != Kind::door) return 0;
     const Door& d = door;
     const double x = std::max(std::abs(a.x()), std::abs(b.x())), y = std::max(std::abs(a.y()), std::abs(b.y()));
-    const double base = std::hypot(x / d.radius_x, y / d.radius_y);
-    const double ridge = d.line_height / d.line_fade * std::hypot(1.0, d.line_slope);
+    const double base = x / d.radius_x + y / d.radius_y;
+    const double ridge = d.line_height / d.line_fade * (1 + std::abs(d.line_slope));
     const double reach = 1 + kRecessReach * d.recess_wall;
     const double rx = reach * d.recess_half_x, ry = reach * d.recess_half_y;
     const bool away = std::max(a.x(), b.x()) < d.recess_x - rx || std::min(a.x(), b.x()) > d.recess_x + rx ||

@@ -26,12 +26,10 @@ inline std::uint32_t mix(std::uint32_t x) {
 }
 
 /// Weights of the uniform cubic B-spline at the fraction f of a cell.
-inline void spline_weights(float f, float* w) {
+inline Eigen::Array4f spline_weights(float f) {
+    constexpr float sixth = 1.f / 6.f;
     const float g = 1 - f, f2 = f * f, g2 = g * g;
-    w[0] = g2 * g / 6;
-    w[1] = (4 - 6 * f2 + 3 * f2 * f) / 6;
-    w[2] = (4 - 6 * g2 + 3 * g2 * g) / 6;
-    w[3] = f2 * f / 6;
+    return {g2 * g * sixth, (4 - 6 * f2 + 3 * f2 * f) * sixth, (4 - 6 * g2 + 3 * g2 * g) * sixth, f2 * f * sixth};
 }
 
 double smooth_edge(double x) {
@@ -41,28 +39,33 @@ double smooth_edge(double x) {
 
 }  // namespace
 
-double lattice_noise(double x, double y, std::uint32_t seed) {
-    const double fx = std::floor(x), fy = std::floor(y);
-    float wx[4], wy[4];
-    spline_weights(static_cast<float>(x - fx), wx);
-    spline_weights(static_cast<float>(y - fy), wy);
-    const auto ix = static_cast<std::uint32_t>(static_cast<std::int64_t>(fx));
-    const auto iy = static_cast<std::uint32_t>(static_cast<std::int64_t>(fy));
-    std::uint32_t row[4];
-    for (std::uint32_t j = 0; j < 4; ++j) row[j] = mix((iy + j) ^ seed);
-    float value[16];
-    for (std::uint32_t i = 0; i < 16; ++i) {
-        value[i] = static_cast<float>(static_cast<std::int32_t>(mix(row[i / 4] + (ix + i % 4) * 0x9E3779B9u)));
+void LatticeCell::move_to(std::int64_t column, std::int64_t row, std::uint32_t seed) {
+    if (column == column_ && row == row_) return;
+    column_ = column;
+    row_ = row;
+    // All sixteen values at once: these loops run in vector registers.
+    std::uint32_t key[16];
+    for (std::uint32_t j = 0; j < 4; ++j) {
+        const std::uint32_t line = mix((static_cast<std::uint32_t>(row) + j) ^ seed);
+        for (std::uint32_t i = 0; i < 4; ++i) {
+            key[4 * j + i] = line + (static_cast<std::uint32_t>(column) + i) * 0x9E3779B9u;
+        }
     }
-    float sum = 0;
-    for (int j = 0; j < 4; ++j) {
-        float line = 0;
-        for (int i = 0; i < 4; ++i) line += wx[i] * value[4 * j + i];
-        sum += wy[j] * line;
-    }
-    // Uniform numbers in [-1, 1) have variance 1/3; the squared weights of the spline add up to 151/315 per axis.
-    return sum * 0x1p-31 * 1.7320508075688772 * 315.0 / 151.0;
+    for (int i = 0; i < 16; ++i) value_[i] = static_cast<float>(static_cast<std::int32_t>(mix(key[i])));
 }
+
+double LatticeCell::noise(double x, double y, std::uint32_t seed) {
+    const double fx = std::floor(x), fy = std::floor(y);
+    move_to(static_cast<std::int64_t>(fx), static_cast<std::int64_t>(fy), seed);
+    const Eigen::Array4f wx = spline_weights(static_cast<float>(x - fx)),
+                         wy = spline_weights(static_cast<float>(y - fy));
+    const auto line = [&](int j) { return Eigen::Array4f::Map(value_ + 4 * j); };
+    const Eigen::Array4f sum = wx * (wy[0] * line(0) + wy[1] * line(1) + wy[2] * line(2) + wy[3] * line(3));
+    // Uniform numbers in [-1, 1) have variance 1/3; the squared weights of the spline add up to 151/315 per axis.
+    return ((sum[0] + sum[1]) + (sum[2] + sum[3])) * (0x1p-31 * 1.7320508075688772 * 315.0 / 151.0);
+}
+
+double lattice_noise(double x, double y, std::uint32_t seed) { return LatticeCell().noise(x, y, seed); }
 
 SurfaceTexture::SurfaceTexture(double albedo, std::vector<GrainScale> grain, std::vector<Mark> marks, double half_s,
                                double half_t)
@@ -132,12 +135,13 @@ double SurfaceTexture::profile(const Mark& mark, double s, double t) const {
     return smooth_edge(1 - r * (1 + wobble)) * streaks;
 }
 
-double SurfaceTexture::albedo(double s, double t) const {
+double SurfaceTexture::albedo(double s, double t, Cursor& cursor) const {
+    if (cursor.size() != grain_.size()) cursor.assign(grain_.size(), LatticeCell());
     double factor = 1;
     for (std::size_t i = 0; i < grain_.size(); ++i) {
         const Frame& f = frames_[i];
         factor += grain_[i].amplitude *
-                  lattice_noise(f.along_s * s + f.along_t * t, f.across_s * s + f.across_t * t, grain_[i].seed);
+                  cursor[i].noise(f.along_s * s + f.along_t * t, f.across_s * s + f.across_t * t, grain_[i].seed);
     }
     if (!marks_.empty()) {
         const int i = static_cast<int>(std::floor((s - origin_s_) / kBin));

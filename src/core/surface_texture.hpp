@@ -1,6 +1,8 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <cstdint>
+#include <limits>
 #include <vector>
 
 namespace planish {
@@ -24,7 +26,20 @@ struct Mark {
     double contrast;
 };
 
-/// Smooth aperiodic noise of unit rms over a lattice of spacing 1: cubic B-spline of independent numbers.
+/// Smooth aperiodic noise of unit rms over a lattice of spacing 1: cubic B-spline of independent numbers. Remembers the
+/// numbers around the last cell, which the next sample mostly shares; results do not depend on what is remembered.
+class LatticeCell {
+  public:
+    double noise(double x, double y, std::uint32_t seed);
+
+  private:
+    void move_to(std::int64_t column, std::int64_t row, std::uint32_t seed);
+
+    std::int64_t column_ = std::numeric_limits<std::int64_t>::min(), row_ = 0;
+    float value_[16];
+};
+
+/// The same for a single place.
 double lattice_noise(double x, double y, std::uint32_t seed);
 
 /// Reflectance over surface coordinates (s, t) [mm].
@@ -32,7 +47,10 @@ class SurfaceTexture {
   public:
     SurfaceTexture(double albedo, std::vector<GrainScale> grain, std::vector<Mark> marks, double half_s, double half_t);
 
-    [[nodiscard]] double albedo(double s, double t) const;
+    /// One cell per scale of the grain; keep one cursor per texture while walking over it.
+    using Cursor = std::vector<LatticeCell>;
+
+    [[nodiscard]] double albedo(double s, double t, Cursor& cursor) const;
 
   private:
     struct Frame {

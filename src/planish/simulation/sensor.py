@@ -29,7 +29,9 @@ PAPER_CAMERAS: dict[str, tuple[tuple[float, ...], tuple[float, ...], float, tupl
 CAMERA_PX = (1388, 1038)
 PROJECTOR_PX = (1280, 800)
 PROJECTOR_POSITION_MM = (-2.0, 62.0, 838.0)
-PROJECTOR_DISTANCE_PX = 1980.0
+#: It looks below the origin, at the middle of what both cameras see, and covers that for -60 <= z <= 40 mm.
+PROJECTOR_TARGET_MM = (0.0, -17.0, 0.0)
+PROJECTOR_DISTANCE_PX = 1965.0
 PROJECTOR_DISTORTION = (-0.04, 0.02)
 #: Camera and projector frames have x right, y down, z along the view; the sensor frame x right, y up, z to the cameras.
 _LOOK_DOWN = np.diag([1.0, -1.0, -1.0])
@@ -112,7 +114,8 @@ def reference_rig(scale: float = 1.0) -> Rig:
 
 def _reference_projector() -> Camera:
     position = np.array(PROJECTOR_POSITION_MM)
-    z = -position / np.linalg.norm(position)  # it looks at the origin
+    z = PROJECTOR_TARGET_MM - position
+    z /= np.linalg.norm(z)
     x = np.array([1.0, 0.0, 0.0]) - z[0] * z
     x /= np.linalg.norm(x)
     R_sensor_projector = np.column_stack([x, np.cross(z, x), z])
