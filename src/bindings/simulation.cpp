@@ -1,5 +1,4 @@
-// The only file that knows Python: turns arrays into views, releases the GIL, turns results into arrays. Names, checks,
-// defaults and error texts belong to the Python side.
+// Bindings of the simulation kernels.
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -13,20 +12,13 @@
 #include <thread>
 #include <vector>
 
+#include "bindings/bindings.hpp"
 #include "core/counter_noise.hpp"
 #include "core/render.hpp"
 
 namespace nb = nanobind;
 
 namespace {
-
-bool cpu_has_avx2() {
-#if defined(__x86_64__) && (defined(__GNUC__) || defined(__clang__))
-    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
-#else
-    return false;
-#endif
-}
 
 // --- simulation ------------------------------------------------------------------------------------------------
 
@@ -208,17 +200,7 @@ void normal_numbers(std::uint64_t seed, std::uint64_t stream,
 
 }  // namespace
 
-NB_MODULE(PLANISH_MODULE, m) {
-    m.def("cpu_has_avx2", &cpu_has_avx2, "True where the AVX2 + FMA build of the kernels may be used.");
-    m.def("cpu_count", [] { return static_cast<int>(std::thread::hardware_concurrency()); });
-
-    // --- sensing -----------------------------------------------------------------------------------------------
-
-    // --- registration ------------------------------------------------------------------------------------------
-
-    // --- evaluation --------------------------------------------------------------------------------------------
-
-    // --- simulation --------------------------------------------------------------------------------------------
+void bind_simulation(nb::module_& m) {
     m.def("render_images_8", &simulation::render<std::uint8_t>, "Render all images of one camera into (N, H, W).");
     m.def("render_images_16", &simulation::render<std::uint16_t>, "The same, 16 bit.");
     m.def("trace_image", &simulation::trace, "True points (H, W, 3) in the object frame and their mask (H, W).");

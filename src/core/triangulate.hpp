@@ -1,0 +1,34 @@
+#pragma once
+
+#include <cstdint>
+
+#include "core/camera.hpp"
+#include "core/image.hpp"
+
+namespace planish {
+
+/// A camera with the undistortion shift (u, v) of each pixel; without distortion the shifts are empty.
+struct ViewGeometry {
+    Camera camera;
+    Image<const float> shift_px;
+};
+
+struct TriangulateResult {
+    Image<float> points_sensor;  ///< three channels [mm], on the ray of the own pixel; NaN where none
+    Image<float> sigma_mm;       ///< standard deviation along that ray
+    Image<float> miss_px;        ///< distance of the point's image from the given pixel, across the epipolar line
+};
+
+/// The point of each own pixel's ray that is nearest to the ray of the corresponding pixel of the other camera.
+///
+/// `sigma_px` is the standard deviation of the corresponding pixel along its epipolar line.
+void triangulate(const ViewGeometry& own, const ViewGeometry& other, Image<const float> pixel_px,
+                 Image<const float> sigma_px, int threads, const TriangulateResult& out);
+
+/// Position of each point in the projector (axis 0: u, 1: v), less the decoded position, and its standard deviation.
+void projector_residual(const Camera& projector, int axis, const Eigen::Vector3d& center_own,
+                        Image<const float> points_sensor, Image<const float> sigma_mm, Image<const float> position_px,
+                        Image<const float> position_sigma_px, int threads, Image<float> residual_px,
+                        Image<float> residual_sigma_px);
+
+}  // namespace planish

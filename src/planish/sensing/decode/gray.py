@@ -1,0 +1,91 @@
+"""Gray code: which cell of the projector a pixel sees, and how the cells lie relative to the fringes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish import _core
+from planish.errors import InputError
+from planish.measurement import Map
+from planish.sensing.capture import GreyImage
+from planish.sensing.decode.average import mean_image
+from planish.sensing.sequence import Layout
+
+#: Every so many rows and columns serve to estimate the offset of the cells.
+SAMPLE_STRIDE = 6
+#: Smallest agreement (length of the mean unit vector, 0 ... 1) at which cells and fringes belong together. Cells of
+#: half a period give 0.90, cells of a whole one 0, for their residuals fill the circle.
+MIN_AGREEMENT = 0.3
+#: Pixels with a smaller amplitude than this share of the largest do not take part in the estimate.
+MIN_MODULATION = 0.2
+
+
+def gray_positions(images: Sequence[GreyImage], layout: Layout, threads: int) -> Map:
+    """Return the projector position (H, W) [px] of the centre of each pixel's Gray cell.
+
+    Cell k reaches from pixel coordinate k c - 0.5 to (k + 1) c - 0.5, c being its length.
+
+    Notes
+    -----
+    A bit is lit where its image is brighter than its inverse; without inverse images, than the mean of white and black;
+    without these, than the mean of the fringe images.
+    """
+    code = layout.gray
+    assert code is not None
+    selected = [images[i] for i in (*code.images, *(i for i in code.inverse if i >= 0))]
+    position = {index: k for k, index in enumerate((*code.images, *(i for i in code.inverse if i >= 0)))}
+    inverse = [position[i] if i >= 0 else -1 for i in code.inverse]
+    threshold = np.empty((0, 0), np.float32) if min(inverse) >= 0 else _threshold(images, layout)
+    cell = _core.decode_gray(selected, inverse, threshold, threads)
+    return (cell + np.float32(0.5)) * np.float32(code.cell_px) - np.float32(0.5)
+
+
+def _threshold(images: Sequence[GreyImage], layout: Layout) -> Map:
+    if layout.white and layout.black:
+        return np.asarray(0.5 * (mean_image(images, layout.white) + mean_image(images, layout.black)), np.float32)
+    return mean_image(images, layout.phase_images)
+
+
+def gray_offset(views: Sequence[tuple[Sequence[GreyImage], Map]], layout: Layout, subject: str) -> float:
+    """Return the constant by which Gray positions exceed phase positions, in (-P/2, P/2] [px].
+
+    Sequences in use differ in where the phase is zero relative to the cells: some start a fringe at the border of a
+    cell, some at its centre. Only whole periods are taken from the Gray code, so the constant need not be exact; but it
+    must be the same in all cameras, or they would differ by a period.
+
+    Parameters
+    ----------
+    views : sequence of (images, Gray positions (H, W))
+        Of all cameras.
+    layout : Layout
+        What the images show.
+    subject : str
+        Named in errors.
+
+    Notes
+    -----
+    Circular mean of (Gray - phase) / P over all pixels with good modulation (Mardia & Jupp, Directional Statistics).
+    """
+    steps = layout.periods[0]
+    total, count = 0j, 0
+    for images, position in views:
+        stack = np.stack([images[i][::SAMPLE_STRIDE, ::SAMPLE_STRIDE] for i in steps.images]).astype(float)
+        wave: NDArray[np.complex128] = np.tensordot(np.exp(1j * steps.angles), stack, 1)
+        usable = np.abs(wave) > MIN_MODULATION * np.quantile(np.abs(wave), 0.99)
+        gray = np.exp(2j * np.pi * position[::SAMPLE_STRIDE, ::SAMPLE_STRIDE][usable] / steps.period_px)
+        total += (gray * np.exp(-1j * np.angle(wave[usable]))).sum()
+        count += int(usable.sum())
+    code = layout.gray
+    assert code is not None
+    if code.cell_px > 0.75 * steps.period_px:
+        return 0.0
+    if count == 0 or abs(total) < MIN_AGREEMENT * count:
+        raise InputError(
+            f"{subject}: sequence",
+            "Gray code and phase contradict each other nearly everywhere",
+            "Gray bits in the right order (bit 0 the finest), the right cell_px, period_px and sign",
+        )
+    return float(np.angle(total) * steps.period_px / (2 * np.pi))

@@ -1,0 +1,123 @@
+"""Which pixels are not to be trusted, each with the name of its reason (measurement.REJECTIONS)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from planish import _core
+from planish.measurement import REJECTIONS, Map
+from planish.options import Options
+from planish.rig import Camera
+from planish.sensing.capture import Box
+from planish.sensing.correspond import position_slope
+from planish.sensing.decode import PhaseMap
+from planish.sensing.triangulate import TriangulatedPoints
+
+Mask = NDArray[np.bool_]
+
+
+class RejectOptions(Options):
+    """Options of rejection.
+
+    Parameters
+    ----------
+    sigmas : float
+        Standard deviations beyond which a difference is no noise.
+    edge_px : float
+        A jump of the position by more than a surface changes it over so many pixels is an edge.
+    max_miss_px : float
+        Largest distance between a point's image and its corresponding pixel, across the epipolar line.
+    projector_px : float
+        Disagreement with the projector's calibration that is allowed on top of noise.
+    max_tilt_deg : float
+        Steepest surface, against the line of sight, whose neighbouring pixels still count as connected.
+    min_island_pixels : int
+        Connected regions with fewer pixels are rejected.
+    """
+
+    sigmas: float = Field(default=5.0, gt=0)
+    edge_px: float = Field(default=1.0, gt=0)
+    max_miss_px: float = Field(default=1.0, gt=0)
+    projector_px: float = Field(default=1.0, ge=0)
+    max_tilt_deg: float = Field(default=85.0, gt=0, lt=90)
+    min_island_pixels: int = Field(default=50, ge=1)
+
+
+def reject_edges(phase: PhaseMap, options: RejectOptions, threads: int) -> PhaseMap:
+    """Return the map without the pixels beside a jump: they mix two surfaces, and no interpolation may bridge them."""
+    jump_px = options.edge_px * position_slope(phase.position_px)
+    edge = _core.phase_edges(phase.position_px, phase.sigma_px, jump_px, options.sigmas, threads)
+    return phase.without(edge.view(np.bool_), "edge")
+
+
+def reject_points(
+    found: TriangulatedPoints,
+    phase: PhaseMap,
+    own: Camera,
+    projector: Camera | None,
+    volume: Box | None,
+    options: RejectOptions,
+    threads: int,
+) -> NDArray[np.uint16]:
+    """Return the bit mask (H, W) of all reasons; 0 where a point is valid.
+
+    Parameters
+    ----------
+    found : TriangulatedPoints
+        Points of all pixels (H, W).
+    phase : PhaseMap
+        The organising camera's positions, with what has been rejected so far.
+    own, projector : Camera
+        The organising camera; the projector serves as an independent third ray where it is known.
+    volume : Box or None
+        Points outside are masked.
+    options : RejectOptions
+        Limits.
+    threads : int
+        Number of threads.
+    """
+    points, sigma = found.points_sensor, found.sigma_mm
+    rejected = phase.rejected.copy()
+    valid = np.isfinite(points[..., 2])
+    _mark(rejected, ~valid & (rejected == 0), "unmatched")
+    if volume is not None:
+        with np.errstate(invalid="ignore"):
+            inside = ((points >= np.float32(volume.min)) & (points <= np.float32(volume.max))).all(-1)
+        _mark(rejected, valid & ~inside, "masked")
+    _mark(rejected, np.abs(found.miss_px) > options.max_miss_px, "mismatch")
+    if projector is not None:
+        _mark(rejected, _contradicts_projector(found, phase, own, projector, options, threads), "mismatch")
+    depth = _distance(points, own)
+    depth[rejected != 0] = np.nan
+    # A pixel is 1 / f of the distance wide; a surface tilted by t changes its distance by tan t of that.
+    per_pixel = float(np.tan(np.radians(options.max_tilt_deg)) / min(own.K[0, 0], own.K[1, 1]))
+    small = _core.islands(depth, sigma, per_pixel, options.sigmas, options.min_island_pixels)
+    _mark(rejected, small.view(np.bool_), "isolated")
+    return rejected
+
+
+def _contradicts_projector(
+    found: TriangulatedPoints, phase: PhaseMap, own: Camera, projector: Camera, options: RejectOptions, threads: int
+) -> Mask:
+    residual, sigma = _core.projector_residual(
+        projector.kernel_parameters,
+        0 if phase.axis == "u" else 1,
+        own.center_sensor,
+        found.points_sensor,
+        found.sigma_mm,
+        phase.position_px,
+        phase.sigma_px,
+        threads,
+    )
+    return np.asarray(np.abs(residual) > options.projector_px + options.sigmas * sigma)
+
+
+def _distance(points: Map, own: Camera) -> Map:
+    row = own.T_camera_sensor[2].astype(np.float32)
+    return np.asarray(points @ row[:3] + row[3], np.float32)
+
+
+def _mark(rejected: NDArray[np.uint16], pixels: Mask, reason: str) -> None:
+    rejected[pixels] |= np.uint16(1 << REJECTIONS.index(reason))
