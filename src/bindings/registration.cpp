@@ -9,6 +9,7 @@
 #include "core/chart.hpp"
 #include "core/consensus.hpp"
 #include "core/joint.hpp"
+#include "core/match.hpp"
 #include "core/surface.hpp"
 
 namespace {
@@ -129,9 +130,44 @@ nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& c
                           differences.map());
 }
 
+Out<float, 3> tangential_gradient(const In<float, 2>& texture, const In<float, 3>& tangents, int threads) {
+    const auto in = view<float, 2>(texture);
+    Owned<float> gradient(in.height, in.width, 3);
+    {
+        nb::gil_scoped_release release;
+        planish::tangential_gradient(in, view<float, 3>(tangents), threads, gradient.image);
+    }
+    return gradient.maps();
+}
+
+/// Per row of a: nearest row of b (-1 = none), its squared distance, that of the second (INT32_MAX = none), as (N, 3).
+Out<std::int32_t, 2> nearest_descriptors(const In<std::uint8_t, 2>& a, const In<double, 1>& size_a,
+                                         const In<std::uint8_t, 2>& b, const In<double, 1>& size_b,
+                                         double max_size_ratio, int threads) {
+    const auto wrap = [](const In<std::uint8_t, 2>& d, const In<double, 1>& size) {
+        return planish::Descriptors{{d.data(), d.size()}, {size.data(), size.size()}, d.shape(1)};
+    };
+    planish::Nearest found;
+    {
+        nb::gil_scoped_release release;
+        found = planish::nearest_descriptors(wrap(a, size_a), wrap(b, size_b), max_size_ratio, threads);
+    }
+    Owned<std::int32_t> out(static_cast<int>(found.best.size()), 3, 1);
+    for (std::size_t i = 0; i < found.best.size(); ++i) {
+        std::int32_t* row = out.image.row(static_cast<int>(i));
+        row[0] = found.best[i];
+        row[1] = found.best_squared[i];
+        row[2] = found.second_squared[i];
+    }
+    return out.map();
+}
+
 }  // namespace
 
 void bind_registration(nb::module_& m) {
+    m.def("tangential_gradient", &tangential_gradient, "texture"_a, "tangents"_a, "threads"_a);
+    m.def("nearest_descriptors", &nearest_descriptors, "a"_a, "size_a"_a, "b"_a, "size_b"_a, "max_size_ratio"_a,
+          "threads"_a);
     m.def("fit_surface", &fit_surface, "points"_a, "camera"_a, "radius"_a, "max_slope"_a, "threads"_a);
     m.def("rasterise_chart", &rasterise_chart, "points"_a, "normals"_a, "T_chart_sensor"_a, "pitch"_a, "min_cosine"_a,
           "max_edge"_a, "height"_a, "width"_a);

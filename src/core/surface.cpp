@@ -16,6 +16,48 @@ struct Fit {
     bool ok;
 };
 
+/// Sums over the 2r + 1 pixels of one image row around each pixel, relative to a row's own reference value.
+struct RowSums {
+    std::vector<float> sum, moment, least, greatest;
+
+    void fill(const float* line, int width, int r) {
+        constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+        for (auto* v : {&sum, &moment, &least, &greatest}) v->assign(width, nan);
+        for (int u = r; u < width - r; ++u) {
+            float s = 0, m = 0, low = line[u], high = line[u];
+            for (int k = -r; k <= r; ++k) {
+                const float w = line[u + k];
+                s += w;
+                m += static_cast<float>(k) * w;
+                low = std::min(low, w);
+                high = std::max(high, w);
+            }
+            sum[u] = s;  // NaN as soon as one pixel of the window is
+            moment[u] = m;
+            least[u] = low;
+            greatest[u] = high;
+        }
+    }
+};
+
+/// The fit over a whole window that lies on one surface: the normal equations are diagonal.
+Fit fit_full_window(const std::vector<RowSums>& rows, int first, int u, int r, float centre, float limit) {
+    float sum = 0, moment_u = 0, moment_v = 0, low = centre, high = centre;
+    const int size = 2 * r + 1;
+    for (int k = 0; k < size; ++k) {
+        const RowSums& row = rows[(first + k) % size];
+        sum += row.sum[u];
+        moment_u += row.moment[u];
+        moment_v += static_cast<float>(k - r) * row.sum[u];
+        low = std::min(low, row.least[u]);
+        high = std::max(high, row.greatest[u]);
+    }
+    if (!(high - centre <= limit && centre - low <= limit) || std::isnan(sum)) return {0, 0, 0, false};
+    const auto n = static_cast<float>(size * size);
+    const float spread = n * static_cast<float>(r * (r + 1)) / 3.0F;  // sum of k^2 over the window
+    return {sum / n, moment_u / spread, moment_v / spread, true};
+}
+
 /// Affine fit of the inverse depth in the window around (u0, v0), over pixels within `limit` of the centre's.
 Fit fit_inverse_depth(const std::vector<float>& inverse, int width, int height, int u0, int v0, int r, float limit) {
     const float centre = inverse[static_cast<std::size_t>(v0) * width + u0];
@@ -77,8 +119,17 @@ void fit_surface(const Image<const float>& points, const Camera& camera, const S
                !std::isnan(inverse[static_cast<std::size_t>(v) * width + u]);
     };
     const double focal = std::min(camera.fx, camera.fy);
+    const int r = options.radius, size = 2 * r + 1;
     parallel_for(static_cast<std::size_t>(height), threads, [&](std::size_t first, std::size_t last) {
-        for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v)
+        std::vector<RowSums> rows(size);
+        const auto fill = [&](int v) {
+            if (v >= 0 && v < height)
+                rows[v % size].fill(inverse.data() + static_cast<std::size_t>(v) * width, width, r);
+        };
+        for (int v = static_cast<int>(first) - r; v < static_cast<int>(first) + r; ++v) fill(v);
+        for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
+            fill(v + r);
+            const bool full_rows = v >= r && v + r < height;
             for (int u = 0; u < width; ++u) {
                 float* s = smoothed.at(v, u);
                 float* n = normals.at(v, u);
@@ -87,10 +138,12 @@ void fit_surface(const Image<const float>& points, const Camera& camera, const S
                 std::fill_n(n, 3, nan);
                 std::fill_n(t, 6, nan);
                 if (!known(v, u)) continue;
-                const double w0 = inverse[static_cast<std::size_t>(v) * width + u];
+                const float w0 = inverse[static_cast<std::size_t>(v) * width + u];
                 // |dz| <= slope * lateral distance, lateral = r z / f, dw = dz / z^2.
-                const auto limit = static_cast<float>(options.max_slope * (options.radius + 1) * w0 / focal);
-                const Fit fit = fit_inverse_depth(inverse, width, height, u, v, options.radius, limit);
+                const auto limit = static_cast<float>(options.max_slope * (r + 1) * w0 / focal);
+                Fit fit{0, 0, 0, false};
+                if (full_rows && u >= r && u + r < width) fit = fit_full_window(rows, v - r, u, r, w0, limit);
+                if (!fit.ok) fit = fit_inverse_depth(inverse, width, height, u, v, r, limit);
                 const int ul = known(v, u - 1) ? u - 1 : u, ur = known(v, u + 1) ? u + 1 : u;
                 const int vl = known(v - 1, u) ? v - 1 : v, vr = known(v + 1, u) ? v + 1 : v;
                 if (!fit.ok || !(fit.w > 0) || ul == ur || vl == vr) continue;
@@ -109,6 +162,31 @@ void fit_surface(const Image<const float>& points, const Camera& camera, const S
                     t[i] = static_cast<float>(x_u[i]);
                     t[i + 3] = static_cast<float>(x_v[i]);
                 }
+            }
+        }
+    });
+}
+
+void tangential_gradient(const Image<const float>& texture, const Image<const float>& tangents, int threads,
+                         const Image<float>& gradient) {
+    const int width = texture.width, height = texture.height;
+    constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+    parallel_for(static_cast<std::size_t>(height), threads, [&](std::size_t first, std::size_t last) {
+        for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v)
+            for (int u = 0; u < width; ++u) {
+                float* out = gradient.at(v, u);
+                std::fill_n(out, 3, nan);
+                if (u == 0 || v == 0 || u + 1 == width || v + 1 == height) continue;
+                const float f_u = 0.5F * (*texture.at(v, u + 1) - *texture.at(v, u - 1));
+                const float f_v = 0.5F * (*texture.at(v + 1, u) - *texture.at(v - 1, u));
+                const float *x_u = tangents.at(v, u), *x_v = x_u + 3;
+                const float e = x_u[0] * x_u[0] + x_u[1] * x_u[1] + x_u[2] * x_u[2];
+                const float f = x_u[0] * x_v[0] + x_u[1] * x_v[1] + x_u[2] * x_v[2];
+                const float g = x_v[0] * x_v[0] + x_v[1] * x_v[1] + x_v[2] * x_v[2];
+                const float determinant = e * g - f * f;
+                if (!(determinant > 0)) continue;
+                const float alpha = (g * f_u - f * f_v) / determinant, beta = (e * f_v - f * f_u) / determinant;
+                for (int i = 0; i < 3; ++i) out[i] = alpha * x_u[i] + beta * x_v[i];
             }
     });
 }

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import combinations
-from typing import Any, Literal
+from typing import Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -27,6 +28,9 @@ from planish.sensing.decode import DecodeOptions, PhaseMap, decode_views
 from planish.sensing.reject import RejectOptions, reject_edges, reject_points
 from planish.sensing.sequence import read_layout
 from planish.sensing.triangulate import triangulate
+
+Item = TypeVar("Item")
+Value = TypeVar("Value")
 
 #: Called with the name of a stage, what is done and what is to do.
 Progress = Callable[[str, int, int], None]
@@ -153,9 +157,8 @@ def register(
     """
     options, count, say = options or RegisterOptions(), thread_count(threads), progress or (lambda *_: None)
     ordered = _checked(measurements, reference)
-    cv2.setNumThreads(count)
     pitch = common_pitch(ordered)
-    prepared = {m.name: prepare(m, pitch, options, count) for m in _counted(ordered, "texture", say)}
+    prepared = _prepare_all(ordered, pitch, options, count, say)
     pairs = _register_pairs(prepared, options, count, say)
     overlaps = _evaluate_pairs(prepared, pairs, count, say)
     pairs = [_with_overlap(pair, overlaps.get((pair.a, pair.b))) for pair in pairs]
@@ -183,35 +186,57 @@ def _checked(measurements: Sequence[Measurement], reference: str | None) -> list
     return sorted(measurements, key=lambda m: m.name)
 
 
-def _counted(items: Sequence[Any], stage: str, say: Progress) -> Any:
-    for index, item in enumerate(items):
-        say(stage, index, len(items))
-        yield item
-    say(stage, len(items), len(items))
+def _parallel(
+    items: Sequence[Item], function: Callable[[Item, int], Value], stage: str, threads: int, say: Progress
+) -> list[Value]:
+    """Apply function(item, threads of its own) to all items, in order of the items, several at a time.
+
+    Whole items side by side use the processors better than the threads inside one item, much of which is serial.
+    """
+    workers = max(1, min(threads, len(items)))
+    own = max(1, threads // workers)
+    cv2.setNumThreads(own)
+    values: list[Value] = []
+    say(stage, 0, len(items))
+    with ThreadPoolExecutor(workers) as pool:
+        for value in pool.map(lambda item: function(item, own), items):
+            values.append(value)
+            say(stage, len(values), len(items))
+    return values
+
+
+def _prepare_all(
+    measurements: Sequence[Measurement], pitch_mm: float, options: PairOptions, threads: int, say: Progress
+) -> dict[str, Prepared]:
+    found = _parallel(measurements, lambda m, own: prepare(m, pitch_mm, options, own), "texture", threads, say)
+    return {p.measurement.name: p for p in found}
 
 
 def _register_pairs(
     prepared: Mapping[str, Prepared], options: RegisterOptions, threads: int, say: Progress
 ) -> list[PairResult]:
     tried = list(combinations(sorted(prepared), 2))
-    return [
-        register_pair(prepared[a], prepared[b], options, len(tried), threads) for a, b in _counted(tried, "pairs", say)
-    ]
+
+    def one(pair: tuple[str, str], own: int) -> PairResult:
+        return register_pair(prepared[pair[0]], prepared[pair[1]], options, len(tried), own)
+
+    return _parallel(tried, one, "pairs", threads, say)
 
 
 def _evaluate_pairs(
     prepared: Mapping[str, Prepared], pairs: Sequence[PairResult], threads: int, say: Progress
 ) -> dict[tuple[str, str], OverlapEvaluation]:
     accepted = [pair for pair in pairs if pair.T_a_b is not None]
+    names = {name for pair in accepted for name in (pair.a, pair.b)}
     sides = {
-        name: evaluation.Prepared(p.measurement, p.surface, p.contrast)
-        for name, p in prepared.items()
-        if any(name in (pair.a, pair.b) for pair in accepted)
+        name: evaluation.Prepared(p.measurement, p.surface, p.contrast) for name, p in prepared.items() if name in names
     }
-    return {
-        (pair.a, pair.b): evaluate_overlap(sides[pair.a], sides[pair.b], np.asarray(pair.T_a_b), threads=threads)
-        for pair in _counted(accepted, "overlap", say)
-    }
+
+    def one(pair: PairResult, own: int) -> OverlapEvaluation:
+        return evaluate_overlap(sides[pair.a], sides[pair.b], np.asarray(pair.T_a_b), threads=own)
+
+    found = _parallel(accepted, one, "overlap", threads, say)
+    return {(pair.a, pair.b): overlap for pair, overlap in zip(accepted, found, strict=True)}
 
 
 def _with_overlap(pair: PairResult, overlap: OverlapEvaluation | None) -> PairResult:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from planish import storage
 from planish.cli import console
@@ -129,7 +130,8 @@ def print_truth_tables(evaluation: Evaluation) -> None:
         style="dim", highlight=False,
     )  # fmt: skip
     for finding in evaluation.findings:
-        output.print(finding, style="bold red" if finding.startswith("WRONG") else "yellow", highlight=False)
+        style = "bold red" if finding.startswith("WRONG") else "yellow"
+        output.print(finding, style=style, highlight=False, markup=False)
     if not evaluation.findings:
         output.print("nothing wrong, nothing missing", style="green")
 
@@ -145,7 +147,8 @@ def _table(
 ) -> Table:
     out = Table(title=title, title_justify="left")
     for index, (name, unit) in enumerate(columns):
-        out.add_column(f"{name} [{unit}]" if unit else name, justify="right" if right and index else "left")
+        # Text, not strings: brackets in names and reasons are no markup.
+        out.add_column(Text(f"{name} [{unit}]" if unit else name), justify="right" if right and index else "left")
     for row in rows:
-        out.add_row(*row)
+        out.add_row(*(Text(cell) for cell in row))
     return out

@@ -113,11 +113,12 @@ def _best(
     best: Candidate | None = None
     for T in transforms:
         members = _members(T, points_a, points_b, frames_a, frames_b, options)
-        if len(members) >= 3:
-            T = fit_rigid(points_a[members], points_b[members])
-            members = _members(T, points_a, points_b, frames_a, frames_b, options)
+        if len(members) < 3:
+            continue
+        T = fit_rigid(points_a[members], points_b[members])
+        members = _members(T, points_a, points_b, frames_a, frames_b, options)
         places = count_places(points_a[members], options.distinct_mm)
-        if best is None or places > best.places:
+        if places >= 3 and (best is None or places > best.places):
             best = Candidate(T, use[members], places)
     return best
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.options import Options
+from planish import _core
+from planish.options import Options, thread_count
 from planish.registration.keypoints import Keypoints
 
 
@@ -48,31 +49,23 @@ class Matches:
         return Matches(self.index_a[index], self.index_b[index], self.ratio[index])
 
 
-def match(a: Keypoints, b: Keypoints, options: MatchOptions | None = None) -> Matches:
+def match(a: Keypoints, b: Keypoints, options: MatchOptions | None = None, threads: int | None = None) -> Matches:
     """Return the mutual nearest neighbours of two keypoint sets, best ratio first."""
-    options = options or MatchOptions()
+    options, count = options or MatchOptions(), thread_count(threads)
     none = np.empty(0, np.int64)
     if len(a) < 2 or len(b) < 2:
         return Matches(none, none, np.empty(0))
-    squared = _squared_distances(a.descriptors, b.descriptors)
-    # Beyond the ratio of sizes a pair cannot be the same place; it must not serve as second nearest either.
-    log_size_a, log_size_b = np.log(a.size_mm).astype(np.float32), np.log(b.size_mm).astype(np.float32)
-    other_size = np.abs(log_size_a[:, None] - log_size_b[None]) > np.log(options.max_size_ratio)
-    squared[other_size] = np.inf
-    rows = np.arange(len(a))
-    best = np.argmin(squared, axis=1)
-    nearest = squared[rows, best]
-    mutual = np.isfinite(nearest) & (np.argmin(squared, axis=0)[best] == rows)
-    squared[rows, best] = np.inf
-    second = squared.min(axis=1)
-    ratio = np.sqrt(nearest.astype(float) / np.maximum(second.astype(float), 1.0))
+
+    def nearest(x: Keypoints, y: Keypoints) -> NDArray[np.int32]:
+        return _core.nearest_descriptors(
+            x.descriptors, x.size_mm, y.descriptors, y.size_mm, options.max_size_ratio, count
+        )
+
+    forward, backward = nearest(a, b), nearest(b, a)
+    best = forward[:, 0].astype(np.int64)
+    mutual = (best >= 0) & (backward[best, 0] == np.arange(len(a)))
+    ratio = np.sqrt(forward[:, 1] / np.maximum(forward[:, 2].astype(float), 1.0))
     index_a = np.flatnonzero(mutual & (ratio <= options.max_ratio))
     order = np.lexsort((index_a, ratio[index_a]))[: options.max_matches]
     index_a = index_a[order]
-    return Matches(index_a, best[index_a].astype(np.int64), ratio[index_a])
-
-
-def _squared_distances(a: NDArray[np.uint8], b: NDArray[np.uint8]) -> NDArray[np.float32]:
-    # |a - b|^2 = |a|^2 + |b|^2 - 2 a.b; all are whole numbers below 2^24 and so exact in float32.
-    x, y = a.astype(np.float32), b.astype(np.float32)
-    return (x**2).sum(1)[:, None] + (y**2).sum(1)[None] - 2 * (x @ y.T)
+    return Matches(index_a, best[index_a], ratio[index_a])

@@ -83,7 +83,7 @@ def prepare(
     images = texture_images(measurement, surface, contrast, pitch_mm, options.charts)
     keypoints = detect_keypoints(images, options.keypoints)
     kept = ~held_out_pixels(measurement)
-    sides = {s: joint_side(measurement, surface, contrast, s) for s in options.refine.smoothing_px}
+    sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
     fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
     return Prepared(measurement, surface, contrast, images, keypoints, sides, fit_sides)
 
@@ -93,7 +93,7 @@ def register_pair(
 ) -> PairResult:
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
     options = options or PairOptions()
-    matches = match(a.keypoints, b.keypoints, options.match)
+    matches = match(a.keypoints, b.keypoints, options.match, threads)
     coarse, still_share = _moving_consensus(a, b, matches, options, threads)
     centre_b = np.nanmean(b.surface.points_sensor[::8, ::8].reshape(-1, 3).astype(float), axis=0)
     other = runner_up(coarse, centre_b, pairs_in_run)

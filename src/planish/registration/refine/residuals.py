@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from planish import _core
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
+from planish.options import thread_count
 from planish.registration.surface import Surface
 from planish.registration.tiles import held_out, tile_size_px
 
@@ -56,12 +57,13 @@ def joint_side(
     contrast: tuple[Map, Map],
     smoothing_px: float,
     use: NDArray[np.bool_] | None = None,
+    threads: int | None = None,
 ) -> JointSide:
     """Return the maps of one measurement, its texture smoothed by `smoothing_px`; `use` (H, W) restricts the pixels."""
     value, sigma = contrast
     known = np.isfinite(value)
     smooth = smooth_texture(value, known, smoothing_px)
-    gradient = tangential_gradient(smooth, surface.tangents_sensor)
+    gradient = _core.tangential_gradient(smooth, surface.tangents_sensor, thread_count(threads))
     use = np.ones(measurement.shape, bool) if use is None else use
     maps = (
         surface.points_sensor,
@@ -83,21 +85,6 @@ def smooth_texture(value: Map, known: NDArray[np.bool_], sigma_px: float) -> Map
     with np.errstate(divide="ignore", invalid="ignore"):
         smooth = blur(np.where(known, value, np.float32(0))) / density
     return np.where(known, smooth, np.float32(np.nan))
-
-
-def tangential_gradient(texture: Map, tangents: Map) -> Map:
-    """Return the gradient (H, W, 3) of a texture (H, W) along the surface [1/mm], from its change per pixel.
-
-    The gradient G lies in the tangent plane and has G . X_u = f_u, G . X_v = f_v (X_u, X_v the tangents per pixel).
-    """
-    f_v, f_u = np.gradient(texture)
-    x_u, x_v = tangents[..., :3], tangents[..., 3:]
-    e, f, g = (x_u**2).sum(-1), (x_u * x_v).sum(-1), (x_v**2).sum(-1)
-    determinant = e * g - f * f
-    with np.errstate(divide="ignore", invalid="ignore"):
-        alpha = (g * f_u - f * f_v) / determinant
-        beta = (e * f_v - f * f_u) / determinant
-    return np.ascontiguousarray(alpha[..., None] * x_u + beta[..., None] * x_v, np.float32)
 
 
 @dataclass(frozen=True)
@@ -178,9 +165,3 @@ def equations(
         d[0], d[1][0], t[0], t[1][0], H_unbiased, d[2] + t[2], d[3], t[3], correlation, conflicts,
         tiles, distances, differences,
     )  # fmt: skip
-
-
-__all__ = [
-    "Equations", "JointSide", "Weights", "equations", "held_out_pixels", "joint_side", "smooth_texture",
-    "tangential_gradient", "tile_size_px",
-]  # fmt: skip

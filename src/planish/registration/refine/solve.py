@@ -27,7 +27,7 @@ class RefineOptions(Options):
     #: Most steps per level.
     max_steps: int = Field(default=15, ge=1)
     #: A level ends when a step moves no point of the overlap by more than this [mm].
-    step_mm: float = Field(default=2e-4, gt=0)
+    step_mm: float = Field(default=5e-4, gt=0)
     #: Half of what a direction may be uncertain by, to be updated at all [mm].
     max_sigma_mm: float = Field(default=2.0, gt=0)
 
@@ -92,9 +92,11 @@ def refine(
             )  # fmt: skip
 
         converged = False
+        scalings = 1 if smoothing == levels[-1][0] else _SCALINGS
         for iteration in range(options.max_steps):
-            # Scales follow the fit for the first steps, then stay, so that the cost is one function.
-            if iteration < 3:
+            # Scales follow the fit for the first steps, then stay, so that the cost is one function. The last level
+            # starts from a good fit and needs them once.
+            if iteration < scalings:
                 plain = at(T_a_b, None, True)
                 if plain.points < MIN_POINTS:
                     return None
@@ -103,14 +105,16 @@ def refine(
             xi = _step(result, lever_mm, options.max_sigma_mm)
             T_a_b = perturb(T_a_b, xi, about)
             step = float(np.linalg.norm(xi[:3]) * lever_mm + np.linalg.norm(xi[3:]))
-            if iteration >= 2 and step < options.step_mm:
+            if iteration + 1 >= scalings and step < options.step_mm:
                 converged = True
                 break
     assert weights is not None
-    final = at(T_a_b, weights, True)
+    final = at(T_a_b, weights, False)
     return Refined(T_a_b, np.asarray(about), lever_mm, final, weights, converged, step)
 
 
+#: Times that the robust scales are estimated anew on a coarse level.
+_SCALINGS = 3
 #: Fewer common pixels than this cannot be refined (six unknowns, tiles for the covariance).
 MIN_POINTS = 300
 

@@ -77,17 +77,26 @@ def _view_contrast(view: View, shading_px: float, limit: float) -> tuple[Map, Ma
     return np.where(weights > 0, total / np.maximum(weights, 1e-30), 0).astype(np.float32), weights
 
 
+#: The low-pass is computed on an image reduced so far that its deviation is this many pixels: it has no finer detail.
+_REDUCED_SIGMA_PX = 2.0
+
+
 def _masked_lowpass(image: Map, known: NDArray[np.bool_], sigma_px: float) -> Map:
-    """Gaussian low-pass over the known pixels only (normalised convolution, Knutsson and Westin 1993)."""
-    mask = known.astype(np.float32)
+    """Gaussian low-pass over the known pixels only (normalised convolution, Knutsson and Westin 1993); 0 where none."""
+    height, width = image.shape
+    factor = max(1, round(sigma_px / _REDUCED_SIGMA_PX))
+    size = (max(1, round(width / factor)), max(1, round(height / factor)))
 
-    def blur(values: Map) -> Map:
-        return cv2.GaussianBlur(values, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT)
+    def lowpass(values: Map) -> Map:
+        reduced = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
+        scale = (sigma_px * size[0] / width, sigma_px * size[1] / height)
+        return cv2.GaussianBlur(reduced, (0, 0), scale[0], sigmaY=scale[1], borderType=cv2.BORDER_CONSTANT)
 
-    density = blur(mask)
-    smooth = blur(np.where(known, image, 0).astype(np.float32))
+    density = lowpass(known.astype(np.float32))
+    smooth = lowpass(np.where(known, image, np.float32(0)))
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(density > 1e-3, smooth / density, np.float32(0))
+        ratio = np.where(density > 1e-3, smooth / density, np.float32(0))
+    return cv2.resize(ratio, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
 def _to_organising_grid(measurement: Measurement, value: Map, weight: Map) -> tuple[Map, Map]:

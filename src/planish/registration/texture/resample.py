@@ -75,9 +75,7 @@ def _resample(
     options: ChartOptions,
 ) -> TextureImage:
     min_cosine = float(np.cos(np.deg2rad(options.reach_deg)))
-    faces = surface.normals_sensor @ -T_chart_sensor[2, :3] >= min_cosine
-    extent = np.max(transform_points(T_chart_sensor, surface.points_sensor[faces]).astype(float), axis=0, initial=0.0)
-    width, height = (int(n) + 1 for n in np.ceil(extent[:2] / pitch_mm))
+    width, height = _chart_size(surface, T_chart_sensor, pitch_mm, min_cosine)
     max_edge = _MAX_EDGE_GSD * ground_sample_distance(measurement)
     source, z = _core.rasterise_chart(
         surface.points_sensor, surface.normals_sensor, T_chart_sensor, pitch_mm, min_cosine, max_edge, height, width
@@ -97,3 +95,16 @@ def _resample(
         T_chart_sensor, pitch_mm, np.where(mask, sampled, np.float32(0)), np.where(mask, sampled_sigma, np.float32(0)),
         np.where(mask, z, np.float32(np.nan)), normal, mask, source,
     )  # fmt: skip
+
+
+def _chart_size(surface: Surface, T_chart_sensor: Array, pitch_mm: float, min_cosine: float) -> tuple[int, int]:
+    """Width and height [px] of what the chart holds; a rim that the sparse sampling misses is cut off."""
+    points, normals = (m[::_EXTENT_STRIDE, ::_EXTENT_STRIDE] for m in (surface.points_sensor, surface.normals_sensor))
+    faces = normals @ -T_chart_sensor[2, :3] >= min_cosine
+    extent = np.max(transform_points(T_chart_sensor, points[faces]).astype(float), axis=0, initial=0.0)
+    width, height = (int(n) + 1 for n in np.ceil(extent[:2] / pitch_mm))
+    return width, height
+
+
+#: Every n-th pixel decides about the size of a chart.
+_EXTENT_STRIDE = 4

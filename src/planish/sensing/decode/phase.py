@@ -28,7 +28,7 @@ class DecodeOptions(Options):
         Pixels whose finest phase is less certain are rejected as dark.
     """
 
-    max_phase_sigma_rad: float = Field(default=0.15, gt=0, le=1)
+    max_phase_sigma_rad: float = Field(default=0.25, gt=0, le=1)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,95 @@
+"""`planish measure`: fringe images to measurements, one HDF5 file per capture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from planish.cli import console
+from planish.errors import InputError
+from planish.measurement import Measurement
+from planish.options import thread_count
+from planish.pipeline import MeasureOptions
+from planish.pipeline import measure as measure_capture
+from planish.sensing.capture import Capture
+
+MANIFEST = "capture.json"
+
+
+def find_captures(paths: list[Path], images_dir: Path | None) -> list[Capture]:
+    """Return the captures that `paths` name: manifests, folders with one, or folders of such folders.
+
+    Raises
+    ------
+    InputError
+        Where a path leads to no manifest, or two captures have one name.
+    """
+    manifests: list[Path] = []
+    for path in paths:
+        if path.is_dir() and not (path / MANIFEST).is_file():
+            inside = sorted(path.glob(f"*/{MANIFEST}"))
+            if not inside:
+                raise InputError(path, "no capture in this folder", f"a {MANIFEST} in it or in its subfolders")
+            manifests += inside
+        elif path.exists():
+            manifests.append(path / MANIFEST if path.is_dir() else path)
+        else:
+            raise InputError(path, "no such file or folder", f"a {MANIFEST}, or a folder that holds one")
+    captures = [Capture.load(path, images_dir) for path in manifests]
+    seen: dict[str, Path] = {}
+    for capture in captures:
+        if capture.name in seen:
+            raise InputError(
+                capture.path,
+                f"the name '{capture.name}' is also that of {seen[capture.name]}",
+                "a different 'name' in each manifest (default: its folder's name)",
+            )
+        seen[capture.name] = capture.path
+    return captures
+
+
+def summary(measurement: Measurement) -> str:
+    """Return one line: valid points, their share, median sigma."""
+    valid = measurement.valid
+    sigma = float(np.nanmedian(measurement.sigma_mm)) if valid.any() else float("nan")
+    return (
+        f"{measurement.name}: {int(valid.sum())} points, {100 * float(valid.mean()):.1f} % of the pixels, "
+        f"median sigma {sigma:.4f} mm"
+    )
+
+
+def _views(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(","))
+
+
+def measure(
+    captures: Annotated[list[Path], typer.Argument(metavar="CAPTURE...", help="capture.json, or folders of them.")],
+    out: Annotated[Path, typer.Option(help="Folder for the measurements, one <name>.h5 each.")],
+    images: Annotated[Path | None, typer.Option(help="Folder the image names are relative to.")] = None,
+    organise_on: Annotated[str, typer.Option(help="Camera whose pixel grid organises the points: A or B.")] = "A",
+    texture_views: Annotated[str, typer.Option(help="Cameras whose images serve as texture.")] = "A,B",
+    threads: Annotated[int | None, typer.Option(help="Threads; the bytes do not depend on it.")] = None,
+) -> None:
+    """Turn the fringe images of each CAPTURE into a textured 3D measurement."""
+    values: dict[str, Any] = {"organise_on": organise_on, "texture_views": _views(texture_views)}
+    options = MeasureOptions.parse(values, "measure")
+    count = thread_count(threads)
+    found = find_captures(captures, images)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("measuring", total=len(found))
+        for capture in found:
+            progress.update(task, description=f"measuring {capture.name}")
+            measurement = measure_capture(capture, options, count)
+            measurement.save(out / f"{measurement.name}.h5")
+            typer.echo(summary(measurement))
+            progress.advance(task)
+
+
+def register_command(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command()(measure)
