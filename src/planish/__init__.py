@@ -1,6 +1,6 @@
-"""planish: registers fringe-projection measurements of feature-poor parts by their surface texture."""
+"""Registers fringe-projection measurements of feature-poor parts by their surface texture."""
 
-__version__ = "0.1.0"
+from importlib.metadata import version
 
 from planish.errors import InputError
 from planish.measurement import Measurement
@@ -19,6 +19,9 @@ __all__ = [
     "RegisterOptions",
     "Registration",
     "Rig",
+    "__version__",
     "measure",
     "register",
 ]
+
+__version__ = version("planish")

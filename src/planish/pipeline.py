@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from itertools import combinations
 from typing import Literal, TypeVar
 
@@ -12,7 +13,6 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from planish import __version__
 from planish.errors import InputError
 from planish.evaluation import prepared as evaluation
 from planish.evaluation.overlap import OverlapEvaluation, evaluate_overlap
@@ -184,7 +184,7 @@ def register_run(
 
 def versions() -> dict[str, str]:
     """Return the versions that a result depends on."""
-    return {"planish": __version__, "numpy": np.__version__, "opencv": cv2.__version__}
+    return {"planish": version("planish"), "numpy": np.__version__, "opencv": cv2.__version__}
 
 
 def _checked(measurements: Sequence[Measurement], reference: str | None) -> list[Measurement]:
