@@ -175,7 +175,7 @@ void unwrap(const Level& level, const DecodeSettings& settings, std::size_t widt
     }
 }
 
-/// Writes the row: NaN where rejected, positions moved into the range.
+/// Writes the row: NaN where rejected (but for the code alone: the phase is still good), moved into the range.
 void finish(const DecodeSettings& settings, std::size_t width, const Row& row, float* __restrict position,
             float* __restrict sigma, std::uint16_t* __restrict out) {
     const float start = settings.range_start_px, length = settings.range_length_px, end = start + length;
@@ -184,8 +184,8 @@ void finish(const DecodeSettings& settings, std::size_t width, const Row& row, f
     for (std::size_t u = 0; u < width; ++u) {
         const float x = position[u];
         const float moved = x < start ? x + length : (x >= end ? x - length : x);
-        position[u] = rejected[u] != 0 ? kNaN : (length > 0 ? moved : x);
-        sigma[u] = rejected[u] != 0 ? kNaN : std::sqrt(variance[u]);
+        position[u] = (rejected[u] & ~kCode) != 0 ? kNaN : (length > 0 ? moved : x);
+        sigma[u] = (rejected[u] & ~kCode) != 0 ? kNaN : std::sqrt(variance[u]);
     }
     for (std::size_t u = 0; u < width; ++u) out[u] = static_cast<std::uint16_t>(rejected[u]);
 }
