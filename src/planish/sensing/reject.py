@@ -11,8 +11,7 @@ from planish.measurement import REJECTIONS, Map
 from planish.options import Options
 from planish.rig import Camera
 from planish.sensing.capture import Box
-from planish.sensing.correspond import position_slope
-from planish.sensing.decode import PhaseMap
+from planish.sensing.decode import PhaseMap, position_slope
 from planish.sensing.triangulate import TriangulatedPoints
 
 Mask = NDArray[np.bool_]
@@ -84,7 +83,8 @@ def reject_points(
     _mark(rejected, ~valid & (rejected == 0), "unmatched")
     if volume is not None:
         with np.errstate(invalid="ignore"):
-            inside = ((points >= np.float32(volume.min)) & (points <= np.float32(volume.max))).all(-1)
+            low, high = np.array(volume.min, np.float32), np.array(volume.max, np.float32)
+            inside = ((points >= low) & (points <= high)).all(-1)
         _mark(rejected, valid & ~inside, "masked")
     _mark(rejected, np.abs(found.miss_px) > options.max_miss_px, "mismatch")
     if projector is not None:
