@@ -1,6 +1,7 @@
 #include "core/render.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 
@@ -94,21 +95,32 @@ class RowShader {
         for (int i = 0; i < rows.width + 2; ++i) out[i] = tracer_.sample(Eigen::Vector2d(i - pad_ - 1, row), hint);
     }
 
+    /// What one sample contributes: pattern(u, v) * projected + constant.
+    struct Contribution {
+        float projected = 0, constant = 0, u = 0, v = 0;
+    };
+
     void shade(const Expansion& around, int column) {
         const int n = rows.scale;
         for (int j = 0; j < n; ++j) {
             RowHint hint;
             for (int i = 0; i < n; ++i) {
                 const double dx = (i + 0.5) / n - 0.5, dy = (j + 0.5) / n - 0.5;
-                const Sample s = around.smooth()
-                                     ? around.at(dx, dy)
-                                     : tracer_.sample(Eigen::Vector2d(column - pad_ + dx, next_ + dy), hint);
-                if (s.patch >= 0) store(s, rows.row(j) + static_cast<std::size_t>(i) * rows.width + column);
+                const Eigen::Vector2d pixel(column - pad_ + dx, next_ + dy);
+                const Contribution value = around.smooth() ? contribution(around.at(dx, dy))
+                                           : around.edge() ? edge_contribution(pixel)
+                                                           : contribution(tracer_.sample(pixel, hint));
+                const std::size_t at = rows.row(j) + static_cast<std::size_t>(i) * rows.width + column;
+                rows.projected[at] = value.projected;
+                rows.constant[at] = value.constant;
+                rows.u[at] = value.u;
+                rows.v[at] = value.v;
             }
         }
     }
 
-    void store(const Sample& sample, std::size_t at) {
+    Contribution contribution(const Sample& sample) {
+        if (sample.patch < 0) return {};
         const bool on_part = sample.patch != kBackgroundPatch;
         const SurfaceTexture& texture = on_part ? scene_.texture : scene_.background->texture;
         const auto light = [&](Sample::Slot slot) { return static_cast<float>(sample.value[slot]); };
@@ -119,10 +131,40 @@ class RowShader {
         // First harmonic of the dark lines between projector pixels; the lens passes no more.
         const auto depth = static_cast<float>(0.5 * patterns_.grid_depth);
         if (depth > 0) gain *= 1 + depth * (cosine_(u) + cosine_(v));
-        rows.projected[at] = (albedo * light(Sample::diffuse) + light(Sample::specular)) * gain;
-        rows.constant[at] = albedo * light(Sample::ambient_diffuse) + light(Sample::ambient_specular);
-        rows.u[at] = static_cast<float>(u);
-        rows.v[at] = static_cast<float>(v);
+        return {(albedo * light(Sample::diffuse) + light(Sample::specular)) * gain,
+                albedo * light(Sample::ambient_diffuse) + light(Sample::ambient_specular), static_cast<float>(u),
+                static_cast<float>(v)};
+    }
+
+    /// At an edge one ray per sample would break thin walls and shadows into dashes: the mean of several. Its projector
+    /// coordinate is that of the strongest ray with those near to it.
+    Contribution edge_contribution(const Eigen::Vector2d& pixel) {
+        constexpr int kRays = 4;
+        constexpr float share = 1.f / (kRays * kRays);
+        constexpr float kNear = 1;  // [projector px]
+        std::array<Contribution, kRays * kRays> rays;
+        RowHint hint;
+        for (int k = 0; k < kRays * kRays; ++k) {
+            if (k % kRays == 0) hint = {};
+            const int row = k / kRays, column = k % kRays;
+            const Eigen::Vector2d offset((column + 0.5) / kRays - 0.5, (row + 0.5) / kRays - 0.5);
+            rays[k] = contribution(tracer_.sample(pixel + offset / rows.scale, hint));
+        }
+        const auto weaker = [](const Contribution& a, const Contribution& b) { return a.projected < b.projected; };
+        const Contribution& strongest = *std::max_element(rays.begin(), rays.end(), weaker);
+        Contribution sum;
+        float weight = 0;
+        for (const Contribution& ray : rays) {
+            sum.projected += share * ray.projected;
+            sum.constant += share * ray.constant;
+            if (std::abs(ray.u - strongest.u) > kNear || std::abs(ray.v - strongest.v) > kNear) continue;
+            weight += ray.projected;
+            sum.u += ray.projected * (ray.u - strongest.u);
+            sum.v += ray.projected * (ray.v - strongest.v);
+        }
+        sum.u = strongest.u + (weight > 0 ? sum.u / weight : 0);
+        sum.v = strongest.v + (weight > 0 ? sum.v / weight : 0);
+        return sum;
     }
 
     const RenderScene& scene_;

@@ -74,7 +74,8 @@ Expansion::Expansion(const Sample* above, const Sample* here, const Sample* belo
     smooth_ = true;
     for (const Sample* row : {above, here, below})
         for (int i = -1; i <= 1; ++i) smooth_ &= row[i].patch == here->patch && row[i].lit == here->lit;
-    if (!smooth_ || here->patch < 0) return;
+    edge_ = !smooth_;
+    if (edge_ || here->patch < 0) return;
     const auto &l = here[-1].value, &c = here->value, &r = here[1].value;
     const auto &a = above->value, &b = below->value;
     du_ = 0.5 * (r - l);

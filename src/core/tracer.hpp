@@ -43,7 +43,7 @@ struct Sample {
 /// rounding; every row starts anew, so that they do not depend on how rows are shared among threads either.
 struct RowHint {
     double distance = -1;
-    Eigen::Vector2d normalised, step;
+    Eigen::Vector2d normalised = Eigen::Vector2d::Zero(), step = Eigen::Vector2d::Zero();
     int count = 0;
 };
 
@@ -73,13 +73,15 @@ class Expansion {
 
     /// False where an edge or a strong bend forbids the expansion.
     [[nodiscard]] bool smooth() const { return smooth_; }
+    /// True where neighbours lie on another patch, in shadow or beside the part.
+    [[nodiscard]] bool edge() const { return edge_; }
     /// The sample at an offset of up to half a pixel.
     [[nodiscard]] Sample at(double x, double y) const;
 
   private:
     using Values = Eigen::Array<double, 8, 1>;
     const Sample* here_;
-    bool smooth_;
+    bool smooth_, edge_;
     Values du_, dv_, duu_, dvv_, duv_;
 };
 
