@@ -1,0 +1,1 @@
+"""Clouds of other programs: reading and writing."""
