@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <limits>
 
 namespace planish {
 
@@ -26,15 +27,35 @@ struct Camera {
                 y * radial + k[2] * (r2 + 2 * y * y) + 2 * k[3] * x * y + k[10] * r2 + k[11] * r4};
     }
 
-    /// Inverse of distort by fixed-point iteration (converges for every distortion that is one to one over the image).
+    /// Derivative of distort; `slope` is d radial / d r2.
+    [[nodiscard]] Eigen::Matrix2d distortion_jacobian(const Eigen::Vector2d& n) const {
+        const double x = n.x(), y = n.y(), r2 = x * x + y * y;
+        const double below = 1 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]));
+        const double radial = (1 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / below;
+        const double slope =
+            (k[0] + r2 * (2 * k[1] + 3 * r2 * k[4]) - radial * (k[5] + r2 * (2 * k[6] + 3 * r2 * k[7]))) / below;
+        const double cross = 2 * x * y * slope + 2 * k[2] * x + 2 * k[3] * y;
+        const double prism_x = 2 * (k[8] + 2 * k[9] * r2), prism_y = 2 * (k[10] + 2 * k[11] * r2);
+        Eigen::Matrix2d J;
+        J << radial + 2 * x * x * slope + 2 * k[2] * y + 6 * k[3] * x + prism_x * x, cross + prism_x * y,
+            cross + prism_y * x, radial + 2 * y * y * slope + 6 * k[2] * y + 2 * k[3] * x + prism_y * y;
+        return J;
+    }
+
+    /// Inverse of distort by Newton's method: three to five steps for real lenses, barrel or pincushion. NaN where no
+    /// ray belongs to the pixel (beyond the range in which the distortion is one to one).
     [[nodiscard]] Eigen::Vector2d undistort(const Eigen::Vector2d& d) const {
         Eigen::Vector2d n = d;
-        for (int i = 0; i < 50; ++i) {
-            const Eigen::Vector2d step = d - distort(n);
-            n += step;
-            if (step.squaredNorm() < 1e-26) break;
+        for (int i = 0; i < 20; ++i) {
+            const Eigen::Vector2d residual = d - distort(n);
+            if (residual.squaredNorm() < 1e-26) return n;
+            const Eigen::Matrix2d J = distortion_jacobian(n);
+            const double determinant = J(0, 0) * J(1, 1) - J(0, 1) * J(1, 0);
+            n += Eigen::Vector2d(J(1, 1) * residual.x() - J(0, 1) * residual.y(),
+                                 J(0, 0) * residual.y() - J(1, 0) * residual.x()) /
+                 determinant;
         }
-        return n;
+        return Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
     }
 
     [[nodiscard]] Eigen::Vector2d to_pixel(const Eigen::Vector2d& distorted) const {

@@ -28,11 +28,11 @@ struct PhaseSteps {
 };
 
 struct DecodeSettings {
-    float saturation = 255;                        ///< grey level at and above which a step is not used
-    float noise_offset = 1, noise_slope = 0;       ///< variance of a grey value I: offset + slope I
-    float max_phase_sigma_rad = 0.2F;              ///< pixels whose finest phase is worse are dark
-    float coarse_limit_px = 0;                     ///< largest difference of `coarse` and the first period's phase
-    float range_start_px = 0, range_length_px = 0; ///< length > 0: positions are moved by it into this range
+    float saturation = 255;                         ///< grey level at and above which a step is not used
+    float noise_offset = 1, noise_slope = 0;        ///< variance of a grey value I: offset + slope I
+    float max_phase_sigma_rad = 0.2F;               ///< pixels whose finest phase is worse are dark
+    float coarse_limit_px = 0;                      ///< largest difference of `coarse` and the first period's phase
+    float range_start_px = 0, range_length_px = 0;  ///< length > 0: positions are moved by it into this range
 };
 
 struct PhaseResult {

@@ -3,7 +3,7 @@
 #include <Eigen/Core>
 
 #include "core/camera.hpp"
-#include "core/surface.hpp"
+#include "core/scene_surface.hpp"
 
 namespace planish {
 

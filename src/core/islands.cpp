@@ -8,7 +8,7 @@ namespace {
 
 /// Disjoint sets with path halving; the smaller index is the root, so that the result does not depend on the order.
 class Sets {
-public:
+  public:
     explicit Sets(std::size_t count) : parent_(count) {
         for (std::size_t i = 0; i < count; ++i) parent_[i] = static_cast<std::uint32_t>(i);
     }
@@ -25,7 +25,7 @@ public:
             parent_[a] = b;
     }
 
-private:
+  private:
     std::vector<std::uint32_t> parent_;
 };
 

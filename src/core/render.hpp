@@ -9,7 +9,7 @@
 #include "core/camera.hpp"
 #include "core/illumination.hpp"
 #include "core/image.hpp"
-#include "core/surface.hpp"
+#include "core/scene_surface.hpp"
 #include "core/surface_texture.hpp"
 
 namespace planish {

@@ -1,193 +1,194 @@
 #include "core/surface.hpp"
 
-#include <algorithm>
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
 #include <cmath>
-#include <numbers>
+#include <limits>
+#include <vector>
+
+#include "core/parallel.hpp"
 
 namespace planish {
-
 namespace {
 
-/// Newton stops when its step is shorter than this [mm of ray]: the next error is of the order of its square.
-constexpr double kNewtonStep = 1e-8;
-/// A root of the height equation must be met to this [mm]; a bracket without a root fails it by far.
-constexpr double kResidual = 1e-9;
-/// Shortest march step [mm]: nothing thinner occurs.
-constexpr double kMarchStep = 0.02;
-/// Beyond this normalised radius, in units of the wall, the recess is below 1e-12 mm.
-constexpr double kRecessReach = 32.0;
+struct Fit {
+    double w, w_u, w_v;
+    bool ok;
+};
 
-Hit make_hit(const Ray& ray, double distance, const Eigen::Vector3d& normal, double s, double t, int patch) {
-    return {distance, ray.at(distance), normal, s, t, patch};
+/// Sums over the 2r + 1 pixels of one image row around each pixel, relative to a row's own reference value.
+struct RowSums {
+    std::vector<float> sum, moment, least, greatest;
+
+    void fill(const float* line, int width, int r) {
+        constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+        for (auto* v : {&sum, &moment, &least, &greatest}) v->assign(width, nan);
+        for (int u = r; u < width - r; ++u) {
+            float s = 0, m = 0, low = line[u], high = line[u];
+            for (int k = -r; k <= r; ++k) {
+                const float w = line[u + k];
+                s += w;
+                m += static_cast<float>(k) * w;
+                low = std::min(low, w);
+                high = std::max(high, w);
+            }
+            sum[u] = s;  // NaN as soon as one pixel of the window is
+            moment[u] = m;
+            least[u] = low;
+            greatest[u] = high;
+        }
+    }
+};
+
+/// The fit over a whole window that lies on one surface: the normal equations are diagonal.
+Fit fit_full_window(const std::vector<RowSums>& rows, int first, int u, int r, float centre, float limit) {
+    float sum = 0, moment_u = 0, moment_v = 0, low = centre, high = centre;
+    const int size = 2 * r + 1;
+    for (int k = 0; k < size; ++k) {
+        const RowSums& row = rows[(first + k) % size];
+        sum += row.sum[u];
+        moment_u += row.moment[u];
+        moment_v += static_cast<float>(k - r) * row.sum[u];
+        low = std::min(low, row.least[u]);
+        high = std::max(high, row.greatest[u]);
+    }
+    if (!(high - centre <= limit && centre - low <= limit) || std::isnan(sum)) return {0, 0, 0, false};
+    const auto n = static_cast<float>(size * size);
+    const float spread = n * static_cast<float>(r * (r + 1)) / 3.0F;  // sum of k^2 over the window
+    return {sum / n, moment_u / spread, moment_v / spread, true};
+}
+
+/// Affine fit of the inverse depth in the window around (u0, v0), over pixels within `limit` of the centre's.
+Fit fit_inverse_depth(const std::vector<float>& inverse, int width, int height, int u0, int v0, int r, float limit) {
+    const float centre = inverse[static_cast<std::size_t>(v0) * width + u0];
+    float n = 0, su = 0, sv = 0, suu = 0, suv = 0, svv = 0, sw = 0, suw = 0, svw = 0;
+    for (int v = std::max(0, v0 - r); v <= std::min(height - 1, v0 + r); ++v) {
+        const float* line = inverse.data() + static_cast<std::size_t>(v) * width;
+        const float dv = static_cast<float>(v - v0);
+        for (int u = std::max(0, u0 - r); u <= std::min(width - 1, u0 + r); ++u) {
+            const float dw = line[u] - centre;
+            // False for NaN too: invalid neighbours drop out without a branch.
+            const float m = std::fabs(dw) <= limit ? 1.0F : 0.0F;
+            const float value = m > 0 ? dw : 0.0F;
+            const float du = static_cast<float>(u - u0);
+            n += m;
+            su += m * du;
+            sv += m * dv;
+            suu += m * du * du;
+            suv += m * du * dv;
+            svv += m * dv * dv;
+            sw += value;
+            suw += du * value;
+            svw += dv * value;
+        }
+    }
+    if (n < 6) return {0, 0, 0, false};
+    Eigen::Matrix3d N;
+    N << n, su, sv, su, suu, suv, sv, suv, svv;
+    const double determinant = N.determinant();
+    if (!(determinant > 1e-3 * n)) return {0, 0, 0, false};
+    const Eigen::Vector3d x = N.ldlt().solve(Eigen::Vector3d(sw, suw, svw));
+    return {centre + x[0], x[1], x[2], true};
 }
 
 }  // namespace
 
-double Door::height(double x, double y, double& slope_x, double& slope_y) const {
-    double z = -x * x / (2 * radius_x) - y * y / (2 * radius_y);
-    slope_x = -x / radius_x;
-    slope_y = -y / radius_y;
-
-    // Character line: a rounded ridge whose flanks run out over `line_fade`.
-    const double d = (y - line_y - line_slope * x), q = std::sqrt(d * d + line_edge * line_edge);
-    const double ridge = line_height * std::exp(-(q - line_edge) / line_fade), along = -ridge * d / (q * line_fade);
-    z += ridge;
-    slope_x -= along * line_slope;
-    slope_y += along;
-
-    const double ex = (x - recess_x) / recess_half_x, ey = (y - recess_y) / recess_half_y, r2 = ex * ex + ey * ey;
-    const double reach = 1 + kRecessReach * recess_wall;
-    if (r2 < reach * reach) {
-        const double r = std::sqrt(r2), e = std::exp((r - 1) / recess_wall), depth = recess_depth / (1 + e);
-        z -= depth;
-        if (r > 0) {
-            const double fall = depth * e / ((1 + e) * recess_wall * r);
-            slope_x += fall * ex / recess_half_x;
-            slope_y += fall * ey / recess_half_y;
-        }
-    }
-    return z;
-}
-
-bool Surface::inside(double s, double t) const {
-    const double ds = std::abs(s) - half_s, dt = std::abs(t) - half_t;
-    if (ds > 0 || dt > 0) return false;
-    const double cs = ds + corner, ct = dt + corner;
-    return !(cs > 0 && ct > 0) || cs * cs + ct * ct <= corner * corner;
-}
-
-double Surface::height(double x, double y, double& slope_x, double& slope_y) const {
-    if (kind == Kind::door) return door.height(x, y, slope_x, slope_y);
-    slope_x = slope_y = 0;
-    if (kind != Kind::waves) return 0;
-    const double k = 2 * std::numbers::pi / wavelength;
-    slope_x = -amplitude * k * std::sin(k * x);
-    return amplitude * std::cos(k * x);
-}
-
-std::array<double, 2> Surface::height_range() const {
-    if (kind == Kind::waves) return {-amplitude - 1e-3, amplitude + 1e-3};
-    if (kind != Kind::door) return {-1e-3, 1e-3};
-    const double low = half_s * half_s / (2 * door.radius_x) + half_t * half_t / (2 * door.radius_y);
-    return {-low - door.recess_depth - 1e-3, door.line_height + 1e-3};
-}
-
-double Surface::slope_bound(const Eigen::Vector3d& a, const Eigen::Vector3d& b) const {
-    if (kind == Kind::waves) return amplitude * 2 * std::numbers::pi / wavelength;
-    if (kind != Kind::door) return 0;
-    const Door& d = door;
-    const double x = std::max(std::abs(a.x()), std::abs(b.x())), y = std::max(std::abs(a.y()), std::abs(b.y()));
-    const double base = std::hypot(x / d.radius_x, y / d.radius_y);
-    const double ridge = d.line_height / d.line_fade * std::hypot(1.0, d.line_slope);
-    const double reach = 1 + kRecessReach * d.recess_wall;
-    const double rx = reach * d.recess_half_x, ry = reach * d.recess_half_y;
-    const bool away = std::max(a.x(), b.x()) < d.recess_x - rx || std::min(a.x(), b.x()) > d.recess_x + rx ||
-                      std::max(a.y(), b.y()) < d.recess_y - ry || std::min(a.y(), b.y()) > d.recess_y + ry;
-    // The logistic wall is steepest at its middle: depth / 4 per wall width.
-    const double wall = d.recess_depth / (4 * d.recess_wall * std::min(d.recess_half_x, d.recess_half_y));
-    return base + ridge + (away ? 0 : wall);
-}
-
-Hit Surface::intersect(const Ray& ray, double hint) const {
-    if (kind == Kind::cylinder) return intersect_cylinder(ray);
-    if (kind == Kind::step) return intersect_step(ray);
-    return intersect_height(ray, hint);
-}
-
-Hit Surface::intersect_height(const Ray& ray, double hint) const {
-    if (!(ray.direction.z() < 0)) return {};
-    const auto [low, high] = height_range();
-    double near = (high - ray.origin.z()) / ray.direction.z(), far = (low - ray.origin.z()) / ray.direction.z();
-    double sx, sy;
-    const auto above = [&](double distance) {
-        const Eigen::Vector3d p = ray.at(distance);
-        return p.z() - height(p.x(), p.y(), sx, sy);
+void fit_surface(const Image<const float>& points, const Camera& camera, const SurfaceOptions& options, int threads,
+                 const Image<float>& smoothed, const Image<float>& normals, const Image<float>& tangents) {
+    const int width = points.width, height = points.height;
+    const Eigen::Vector3d centre = camera.center_sensor();
+    const Eigen::Vector3d axis = camera.R_camera_sensor.row(2);
+    constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+    std::vector<float> inverse(points.pixels());
+    parallel_for(static_cast<std::size_t>(height), threads, [&](std::size_t first, std::size_t last) {
+        for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v)
+            for (int u = 0; u < width; ++u) {
+                const float* p = points.at(v, u);
+                const double z = axis.dot(Eigen::Vector3d(p[0], p[1], p[2]) - centre);
+                inverse[static_cast<std::size_t>(v) * width + u] = z > 0 ? static_cast<float>(1.0 / z) : nan;
+            }
+    });
+    // Ray directions with camera z = 1 come from the points themselves: exact, whatever the lens distortion.
+    const auto ray = [&](int v, int u) -> Eigen::Vector3d {
+        const float* p = points.at(v, u);
+        const Eigen::Vector3d x = Eigen::Vector3d(p[0], p[1], p[2]) - centre;
+        return x / axis.dot(x);
     };
-    const double down = -ray.direction.z(), across = ray.direction.head<2>().norm();
-    const double bound = slope_bound(ray.at(near), ray.at(far));
-    if (bound * across >= down) {
-        // The ray may meet the surface several times: walk, never further than the surface can come near.
-        double previous = near;
-        for (double value = above(near); value >= 0 && near < far; value = above(near)) {
-            previous = near;
-            near += std::max(value / (down + bound * across), kMarchStep / ray.direction.norm());
-        }
-        far = std::min(near, far);
-        near = previous;
-    }
-    double distance = hint > near && hint < far ? hint : 0.5 * (near + far);
-    for (int i = 0; i < 100; ++i) {
-        const double value = above(distance);
-        (value >= 0 ? near : far) = distance;
-        double next = distance - value / (ray.direction.z() - sx * ray.direction.x() - sy * ray.direction.y());
-        if (!(next >= near && next <= far)) next = 0.5 * (near + far);
-        const double step = std::abs(next - distance);
-        distance = next;
-        if (step < kNewtonStep) break;
-    }
-    if (std::abs(above(distance)) > kResidual) return {};
-    const Eigen::Vector3d p = ray.at(distance);
-    if (!inside(p.x(), p.y())) return {};
-    return make_hit(ray, distance, Eigen::Vector3d(-sx, -sy, 1).normalized(), p.x(), p.y(), 0);
-}
-
-Hit Surface::intersect_cylinder(const Ray& ray) const {
-    const double ox = ray.origin.x(), oz = ray.origin.z() + radius, dx = ray.direction.x(), dz = ray.direction.z();
-    const double a = dx * dx + dz * dz, b = ox * dx + oz * dz, c = ox * ox + oz * oz - radius * radius;
-    const double discriminant = b * b - a * c;
-    if (!(discriminant > 0) || !(b < 0)) return {};
-    // The nearer root without cancellation: c / (-b + sqrt) instead of (-b - sqrt) / a.
-    const double distance = c / (-b + std::sqrt(discriminant));
-    const Eigen::Vector3d p = ray.at(distance), normal(p.x() / radius, 0, (p.z() + radius) / radius);
-    const double s = radius * std::atan2(p.x(), p.z() + radius);
-    if (!inside(s, p.y())) return {};
-    return make_hit(ray, distance, normal, s, p.y(), 0);
-}
-
-Hit Surface::intersect_step(const Ray& ray) const {
-    Hit best;
-    const auto offer = [&](double distance, const Eigen::Vector3d& normal, int patch) {
-        if (best.patch >= 0 && distance >= best.distance) return;
-        const Eigen::Vector3d p = ray.at(distance);
-        const bool on = patch == 0   ? p.x() < 0
-                        : patch == 1 ? p.x() >= 0
-                                     : p.z() > std::min(0.0, step) && p.z() < std::max(0.0, step);
-        if (on && inside(p.x(), p.y())) best = make_hit(ray, distance, normal, p.x(), p.y(), patch);
+    const auto known = [&](int v, int u) {
+        return u >= 0 && v >= 0 && u < width && v < height &&
+               !std::isnan(inverse[static_cast<std::size_t>(v) * width + u]);
     };
-    const double rise = step > 0 ? 1.0 : -1.0;
-    if (ray.direction.z() < 0) {
-        offer(-ray.origin.z() / ray.direction.z(), Eigen::Vector3d::UnitZ(), 0);
-        offer((step - ray.origin.z()) / ray.direction.z(), Eigen::Vector3d::UnitZ(), 1);
-    }
-    if (rise * ray.direction.x() > 0) {
-        offer(-ray.origin.x() / ray.direction.x(), -rise * Eigen::Vector3d::UnitX(), 2);
-    }
-    return best;
+    const double focal = std::min(camera.fx, camera.fy);
+    const int r = options.radius, size = 2 * r + 1;
+    parallel_for(static_cast<std::size_t>(height), threads, [&](std::size_t first, std::size_t last) {
+        std::vector<RowSums> rows(size);
+        const auto fill = [&](int v) {
+            if (v >= 0 && v < height)
+                rows[v % size].fill(inverse.data() + static_cast<std::size_t>(v) * width, width, r);
+        };
+        for (int v = static_cast<int>(first) - r; v < static_cast<int>(first) + r; ++v) fill(v);
+        for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
+            fill(v + r);
+            const bool full_rows = v >= r && v + r < height;
+            for (int u = 0; u < width; ++u) {
+                float* s = smoothed.at(v, u);
+                float* n = normals.at(v, u);
+                float* t = tangents.at(v, u);
+                std::fill_n(s, 3, nan);
+                std::fill_n(n, 3, nan);
+                std::fill_n(t, 6, nan);
+                if (!known(v, u)) continue;
+                const float w0 = inverse[static_cast<std::size_t>(v) * width + u];
+                // |dz| <= slope * lateral distance, lateral = r z / f, dw = dz / z^2.
+                const auto limit = static_cast<float>(options.max_slope * (r + 1) * w0 / focal);
+                Fit fit{0, 0, 0, false};
+                if (full_rows && u >= r && u + r < width) fit = fit_full_window(rows, v - r, u, r, w0, limit);
+                if (!fit.ok) fit = fit_inverse_depth(inverse, width, height, u, v, r, limit);
+                const int ul = known(v, u - 1) ? u - 1 : u, ur = known(v, u + 1) ? u + 1 : u;
+                const int vl = known(v - 1, u) ? v - 1 : v, vr = known(v + 1, u) ? v + 1 : v;
+                if (!fit.ok || !(fit.w > 0) || ul == ur || vl == vr) continue;
+                const Eigen::Vector3d d = ray(v, u);
+                const Eigen::Vector3d d_u = (ray(v, ur) - ray(v, ul)) / (ur - ul);
+                const Eigen::Vector3d d_v = (ray(vr, u) - ray(vl, u)) / (vr - vl);
+                // X = C + d / w, differentiated along u and v.
+                const Eigen::Vector3d x = centre + d / fit.w;
+                const Eigen::Vector3d x_u = d_u / fit.w - d * (fit.w_u / (fit.w * fit.w));
+                const Eigen::Vector3d x_v = d_v / fit.w - d * (fit.w_v / (fit.w * fit.w));
+                Eigen::Vector3d normal = x_u.cross(x_v).normalized();
+                if (normal.dot(d) > 0) normal = -normal;
+                for (int i = 0; i < 3; ++i) {
+                    s[i] = static_cast<float>(x[i]);
+                    n[i] = static_cast<float>(normal[i]);
+                    t[i] = static_cast<float>(x_u[i]);
+                    t[i + 3] = static_cast<float>(x_v[i]);
+                }
+            }
+        }
+    });
 }
 
-bool Surface::occluded(const Hit& hit, const Eigen::Vector3d& target) const {
-    const Eigen::Vector3d to = target - hit.point;
-    if (hit.normal.dot(to) <= 0) return true;
-    if (kind == Kind::door || kind == Kind::waves) return height_occluded(hit, target);
-    if (kind != Kind::step || hit.point.x() * to.x() >= 0) return false;
-    const double z_at_wall = hit.point.z() - hit.point.x() / to.x() * to.z();
-    return z_at_wall < std::max(0.0, step);
-}
-
-bool Surface::height_occluded(const Hit& hit, const Eigen::Vector3d& target) const {
-    const Eigen::Vector3d to = (target - hit.point).normalized();
-    if (to.z() <= 0) return true;
-    const double across = to.head<2>().norm(), end = (height_range()[1] - hit.point.z()) / to.z();
-    const double closing = slope_bound(hit.point, hit.point + end * to) * across - to.z();
-    if (closing <= 0) return false;  // the line of sight leaves the surface faster than it can rise
-    double sx, sy;
-    for (double distance = kMarchStep; distance < end;) {
-        const Eigen::Vector3d p = hit.point + distance * to;
-        const double above = p.z() - height(p.x(), p.y(), sx, sy);
-        if (above < 0) return true;
-        distance += std::max(above / closing, kMarchStep);
-    }
-    return false;
+void tangential_gradient(const Image<const float>& texture, const Image<const float>& tangents, int threads,
+                         const Image<float>& gradient) {
+    const int width = texture.width, height = texture.height;
+    constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+    parallel_for(static_cast<std::size_t>(height), threads, [&](std::size_t first, std::size_t last) {
+        for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v)
+            for (int u = 0; u < width; ++u) {
+                float* out = gradient.at(v, u);
+                std::fill_n(out, 3, nan);
+                if (u == 0 || v == 0 || u + 1 == width || v + 1 == height) continue;
+                const float f_u = 0.5F * (*texture.at(v, u + 1) - *texture.at(v, u - 1));
+                const float f_v = 0.5F * (*texture.at(v + 1, u) - *texture.at(v - 1, u));
+                const float *x_u = tangents.at(v, u), *x_v = x_u + 3;
+                const float e = x_u[0] * x_u[0] + x_u[1] * x_u[1] + x_u[2] * x_u[2];
+                const float f = x_u[0] * x_v[0] + x_u[1] * x_v[1] + x_u[2] * x_v[2];
+                const float g = x_v[0] * x_v[0] + x_v[1] * x_v[1] + x_v[2] * x_v[2];
+                const float determinant = e * g - f * f;
+                if (!(determinant > 0)) continue;
+                const float alpha = (g * f_u - f * f_v) / determinant, beta = (e * f_v - f * f_u) / determinant;
+                for (int i = 0; i < 3; ++i) out[i] = alpha * x_u[i] + beta * x_v[i];
+            }
+    });
 }
 
 }  // namespace planish

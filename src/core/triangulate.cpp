@@ -42,8 +42,8 @@ Eigen::Vector3d own_ray(const ViewGeometry& view, int u, int v) {
 
 }  // namespace
 
-void triangulate(const ViewGeometry& own, const ViewGeometry& other, Image<const float> pixel,
-                 Image<const float> sigma, int threads, const TriangulateResult& out) {
+void triangulate(const ViewGeometry& own, const ViewGeometry& other, Image<const float> pixel, Image<const float> sigma,
+                 int threads, const TriangulateResult& out) {
     const Eigen::Matrix3d R_sensor_own = own.camera.R_camera_sensor.transpose();
     const Eigen::Matrix3d R_other_own = other.camera.R_camera_sensor * R_sensor_own;
     const Eigen::Vector3d center = own.camera.center_sensor(), t = other.camera.to_camera(center);

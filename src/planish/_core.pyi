@@ -14,6 +14,114 @@ U16 = NDArray[np.uint16]
 def cpu_has_avx2() -> bool: ...
 def cpu_count() -> int: ...
 
+# Registration
+def fit_surface(points: F32, camera: F64, radius: int, max_slope: float, threads: int) -> tuple[F32, F32, F32]: ...
+def tangential_gradient(texture: F32, tangents: F32, threads: int) -> F32: ...
+def nearest_descriptors(
+    a: U8, size_a: F64, b: U8, size_b: F64, max_size_ratio: float, threads: int
+) -> NDArray[np.int32]: ...
+def rasterise_chart(
+    points: F32,
+    normals: F32,
+    T_chart_sensor: F64,
+    pitch: float,
+    min_cosine: float,
+    max_edge: float,
+    height: int,
+    width: int,
+) -> tuple[F32, F32]: ...
+def find_consensus(
+    points_a: F64,
+    points_b: F64,
+    frames_a: F64,
+    frames_b: F64,
+    tolerance: float,
+    frame_angle: float,
+    normal_angle: float,
+    min_baseline: float,
+    seeds: int,
+    partners: int,
+    keep: int,
+    threads: int,
+) -> tuple[F64, NDArray[np.int32]]: ...
+
+_Maps = tuple[F32, F32, F32, F32, F32, NDArray[np.uint8]]
+_Normal = tuple[F64, F64, float, int]
+
+def joint_normal_equations(
+    maps_a: _Maps,
+    camera_a: F64,
+    maps_b: _Maps,
+    T_a_b: F64,
+    about: F64,
+    options: tuple[float, float, float, float, float, float, int, int],
+    with_residuals: bool,
+    threads: int,
+) -> tuple[_Normal, _Normal, F64, float, int, F64, F32, F32]: ...
+
+# Evaluation
+def look_up_distance(
+    points_a: F32,
+    normals_a: F32,
+    camera_a: F64,
+    points_b: F32,
+    normals_b: F32,
+    T_a_b: F64,
+    max_distance: float,
+    with_pixels: bool,
+    threads: int,
+) -> tuple[F32, F32]: ...
+def cell_medians(map: F32, size: int, min_count: int, threads: int) -> F32: ...
+def tile_shifts(
+    value_a: F32,
+    sigma_a: F32,
+    value_b: F32,
+    sigma_b: F32,
+    pixels_b: F32,
+    tiles: F64,
+    size: int,
+    start_1: float,
+    start_2: float,
+    threads: int,
+) -> F64: ...
+def common_shift(
+    value_a: F32,
+    sigma_a: F32,
+    value_b: F32,
+    sigma_b: F32,
+    pixels_b: F32,
+    tiles: F64,
+    size: int,
+    start_1: float,
+    start_2: float,
+    threads: int,
+) -> tuple[float, float]: ...
+def shift_scores(
+    value_a: F32,
+    sigma_a: F32,
+    value_b: F32,
+    sigma_b: F32,
+    pixels_b: F32,
+    tiles: F64,
+    size: int,
+    shifts: F64,
+    threads: int,
+) -> F64: ...
+
+# --- simulation ---
+def render_images_8(
+    scene: dict[str, Any], patterns: dict[str, Any], sensor: dict[str, Any], out: NDArray[np.uint8], threads: int
+) -> None: ...
+def render_images_16(
+    scene: dict[str, Any], patterns: dict[str, Any], sensor: dict[str, Any], out: NDArray[np.uint16], threads: int
+) -> None: ...
+def trace_image(scene: dict[str, Any], points: NDArray[np.float64], lit: NDArray[np.uint8], threads: int) -> None: ...
+def intersect_surface(
+    surface: dict[str, Any], origins: NDArray[np.float64], directions: NDArray[np.float64], hits: NDArray[np.float64]
+) -> None: ...
+def texture_albedo(texture: dict[str, Any], at: NDArray[np.float64], out: NDArray[np.float64]) -> None: ...
+def normal_numbers(seed: int, stream: int, out: NDArray[np.float32]) -> None: ...
+
 # --- sensing (an optional array that is absent has size 0) ---
 
 def decode_phase(
@@ -62,17 +170,3 @@ def projector_residual(
     threads: int,
 ) -> tuple[F32, F32]: ...
 def islands(depth: F32, sigma: F32, depth_per_pixel: float, sigmas: float, min_pixels: int) -> U8: ...
-
-# --- simulation ---
-def render_images_8(
-    scene: dict[str, Any], patterns: dict[str, Any], sensor: dict[str, Any], out: NDArray[np.uint8], threads: int
-) -> None: ...
-def render_images_16(
-    scene: dict[str, Any], patterns: dict[str, Any], sensor: dict[str, Any], out: NDArray[np.uint16], threads: int
-) -> None: ...
-def trace_image(scene: dict[str, Any], points: NDArray[np.float64], lit: NDArray[np.uint8], threads: int) -> None: ...
-def intersect_surface(
-    surface: dict[str, Any], origins: NDArray[np.float64], directions: NDArray[np.float64], hits: NDArray[np.float64]
-) -> None: ...
-def texture_albedo(texture: dict[str, Any], at: NDArray[np.float64], out: NDArray[np.float64]) -> None: ...
-def normal_numbers(seed: int, stream: int, out: NDArray[np.float32]) -> None: ...

@@ -32,7 +32,7 @@ def exp_so3(rotation: ArrayLike) -> Array:
     k = skew(r)
     if angle < SMALL_ANGLE:
         return np.eye(3) + k + 0.5 * k @ k
-    return np.eye(3) + np.sin(angle) / angle * k + (1 - np.cos(angle)) / angle**2 * k @ k
+    return np.eye(3) + np.sin(angle) / angle * k + _versine(angle) / angle**2 * k @ k
 
 
 def log_so3(R: ArrayLike) -> Array:
@@ -55,7 +55,12 @@ def _left_jacobian(r: Array) -> Array:
     k = skew(r)
     if angle < SMALL_ANGLE:
         return np.eye(3) + 0.5 * k + k @ k / 6
-    return np.eye(3) + (1 - np.cos(angle)) / angle**2 * k + (angle - np.sin(angle)) / angle**3 * k @ k
+    return np.eye(3) + _versine(angle) / angle**2 * k + (angle - np.sin(angle)) / angle**3 * k @ k
+
+
+def _versine(angle: float) -> float:
+    # 1 - cos, without its loss of digits at small angles.
+    return float(2 * np.sin(angle / 2) ** 2)
 
 
 def exp_se3(xi: ArrayLike) -> Array:
@@ -134,12 +139,25 @@ def is_rigid(T: ArrayLike) -> bool:
     return bool(np.abs(R @ R.T - np.eye(3)).max() < ROTATION_TOLERANCE and np.linalg.det(R) > 0)
 
 
+def require_array(values: ArrayLike, shape: tuple[int, ...], name: str, expected: str) -> Array:
+    """Return finite numbers as a float64 array of `shape`, or raise an error that names the argument or key `name`."""
+    try:
+        array = np.asarray(values, float)
+    except (TypeError, ValueError):  # rows of different length, text
+        array = np.empty(0)
+    if array.shape != shape or not np.isfinite(array).all():
+        found = values.tolist() if isinstance(values, np.ndarray) else values
+        raise InputError(name, f"found {found}", expected)
+    return array
+
+
 def require_rigid(T: ArrayLike, name: str) -> Array:
     """Return T as a float64 array (4, 4) or raise an error that names the argument or file key `name`."""
-    T = np.asarray(T, float)
-    if not is_rigid(T):
-        raise InputError(name, f"found {T.tolist()}", "a 4 x 4 rigid transform (rotation, translation in mm)")
-    return T
+    expected = "a 4 x 4 rigid transform (rotation, translation in mm)"
+    matrix = require_array(T, (4, 4), name, expected)
+    if not is_rigid(matrix):
+        raise InputError(name, f"found {matrix.tolist()}", expected)
+    return matrix
 
 
 def nearest_rotation(M: ArrayLike) -> Array:

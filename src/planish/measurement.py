@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish import storage
+from planish.errors import InputError
 from planish.rig import Camera, Rig
 
 SCHEMA = "planish.measurement/1"
@@ -131,4 +132,30 @@ class Measurement:
     @classmethod
     def load(cls, path: Path) -> Measurement:
         """Read a file written by `save`; errors name the file."""
-        return storage.load(Path(path), cls, SCHEMA)
+        measurement = storage.load(Path(path), cls, SCHEMA)
+        measurement._check(str(path))
+        return measurement
+
+    def _check(self, subject: str) -> None:
+        if self.organised_on not in self.rig.cameras:
+            raise InputError(
+                f"{subject}: organised_on", f"found {self.organised_on!r}", f"one of {[*self.rig.cameras]}"
+            )
+        width, height = self.camera.size_px
+        maps: dict[str, tuple[Any, tuple[int, ...]]] = {
+            "points_sensor": (self.points_sensor, (height, width, 3)),
+            "sigma_mm": (self.sigma_mm, (height, width)),
+            "rejected": (self.rejected, (height, width)),
+            "correspondence_px": (self.correspondence_px, (height, width, 2)),
+        }
+        for name, view in self.views.items():
+            if name not in self.rig.cameras:
+                raise InputError(f"{subject}: views", f"found {name!r}", f"cameras of the rig: {[*self.rig.cameras]}")
+            width, height = self.rig.cameras[name].size_px
+            for key in ("white", "mean", "modulation"):
+                maps[f"views/{name}/{key}"] = (getattr(view, key), (height, width))
+        for name, (array, shape) in maps.items():
+            if array is not None and np.shape(array) != shape:
+                raise InputError(f"{subject}: {name}", f"shape {np.shape(array)}", f"{shape} like the camera's size_px")
+        if not set(self.texture_views) <= set(self.views):
+            raise InputError(f"{subject}: texture_views", f"found {self.texture_views}", f"some of {[*self.views]}")

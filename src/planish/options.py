@@ -40,7 +40,7 @@ def thread_count(threads: int | None = None) -> int:
         text = os.environ.get("PLANISH_THREADS")
         if text is None:
             return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        if not text.isdigit():
+        if not text.isdecimal():
             raise InputError("PLANISH_THREADS", f"found {text!r}", "a whole number >= 1")
         threads = int(text)
     if threads < 1:

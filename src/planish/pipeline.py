@@ -1,21 +1,39 @@
-"""The main jobs, one line per stage."""
+"""The two chains a user runs, one line per stage: measure() and register()."""
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from itertools import combinations
+from typing import Literal, TypeVar
 
+import cv2
 import numpy as np
 from pydantic import Field
 
 from planish.errors import InputError
+from planish.evaluation import prepared as evaluation
+from planish.evaluation.overlap import OverlapEvaluation, evaluate_overlap
 from planish.measurement import Measurement
 from planish.options import Options, thread_count
+from planish.registration.network.adjust import NetworkOptions
+from planish.registration.network.build import Node, build_network
+from planish.registration.pair import PairOptions, Prepared, common_pitch, prepare, register_pair
+from planish.registration.result import PairResult, Registration
 from planish.sensing.capture import Capture, GreyImage
 from planish.sensing.correspond import correspond
 from planish.sensing.decode import DecodeOptions, PhaseMap, decode_views
 from planish.sensing.reject import RejectOptions, reject_edges, reject_points
 from planish.sensing.sequence import read_layout
 from planish.sensing.triangulate import triangulate
+
+Item = TypeVar("Item")
+Value = TypeVar("Value")
+
+#: Called with the name of a stage, what is done and what is to do.
+Progress = Callable[[str, int, int], None]
 
 
 class MeasureOptions(Options):
@@ -85,6 +103,149 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         texture_views=tuple(options.texture_views),
         resampled=False,
     )
+
+
+class RegisterOptions(PairOptions):
+    """Options of the whole registration: of the pairs and of the network."""
+
+    network: NetworkOptions = NetworkOptions()
+
+
+@dataclass(frozen=True)
+class RegisteredRun:
+    """A registration with what the report shows of it: texture images per measurement and evaluation per pair."""
+
+    registration: Registration
+    prepared: Mapping[str, Prepared]
+    overlaps: Mapping[tuple[str, str], OverlapEvaluation]
+
+
+def register(
+    measurements: Sequence[Measurement],
+    options: RegisterOptions | None = None,
+    *,
+    reference: str | None = None,
+    files: Mapping[str, tuple[str, str]] | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> RegisteredRun:
+    """Register measurements by their texture: no start value, no neighbour hints, any order.
+
+    Parameters
+    ----------
+    measurements : sequence of Measurement
+        With different names; the order does not matter.
+    options : RegisterOptions, optional
+    reference : str, optional
+        Measurement whose frame becomes the world of its group; default the most central one.
+    files : mapping, optional
+        Per name the file name and its SHA-256, to be kept in the result.
+    threads : int, optional
+        Default: all processors. The result does not depend on it.
+    progress : callable, optional
+        Called with stage, done, to do.
+
+    Returns
+    -------
+    RegisteredRun
+        `registration` holds transforms, covariances, verdicts and groups.
+
+    Raises
+    ------
+    InputError
+        Where there is no measurement, a name stands twice, or `reference` is none of them.
+    """
+    options, count, say = options or RegisterOptions(), thread_count(threads), progress or (lambda *_: None)
+    ordered = _checked(measurements, reference)
+    pitch = common_pitch(ordered)
+    prepared = _prepare_all(ordered, pitch, options, count, say)
+    pairs = _register_pairs(prepared, options, count, say)
+    overlaps = _evaluate_pairs(prepared, pairs, count, say)
+    pairs = [_with_overlap(pair, overlaps.get((pair.a, pair.b))) for pair in pairs]
+    nodes = [_node(m, *(files or {}).get(m.name, ("", ""))) for m in ordered]
+    registration = build_network(
+        nodes, pairs, options.network, reference=reference, record=options.model_dump(mode="json"), versions=versions()
+    )
+    return RegisteredRun(registration, prepared, overlaps)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions that a result depends on."""
+    return {"planish": version("planish"), "numpy": np.__version__, "opencv": cv2.__version__}
+
+
+def _checked(measurements: Sequence[Measurement], reference: str | None) -> list[Measurement]:
+    names = [m.name for m in measurements]
+    if not names:
+        raise InputError("measurements", "found none", "at least one measurement")
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise InputError("measurements", f"the name '{twice[0]}' stands {names.count(twice[0])} times", "unique names")
+    if reference is not None and reference not in names:
+        raise InputError("reference", f"found '{reference}'", f"one of {sorted(names)}")
+    return sorted(measurements, key=lambda m: m.name)
+
+
+def _parallel(
+    items: Sequence[Item], function: Callable[[Item, int], Value], stage: str, threads: int, say: Progress
+) -> list[Value]:
+    """Apply function(item, threads of its own) to all items, in order of the items, several at a time.
+
+    Whole items side by side use the processors better than the threads inside one item, much of which is serial.
+    """
+    workers = max(1, min(threads, len(items)))
+    own = max(1, threads // workers)
+    cv2.setNumThreads(own)
+    values: list[Value] = []
+    say(stage, 0, len(items))
+    with ThreadPoolExecutor(workers) as pool:
+        for value in pool.map(lambda item: function(item, own), items):
+            values.append(value)
+            say(stage, len(values), len(items))
+    return values
+
+
+def _prepare_all(
+    measurements: Sequence[Measurement], pitch_mm: float, options: PairOptions, threads: int, say: Progress
+) -> dict[str, Prepared]:
+    found = _parallel(measurements, lambda m, own: prepare(m, pitch_mm, options, own), "texture", threads, say)
+    return {p.measurement.name: p for p in found}
+
+
+def _register_pairs(
+    prepared: Mapping[str, Prepared], options: RegisterOptions, threads: int, say: Progress
+) -> list[PairResult]:
+    tried = list(combinations(sorted(prepared), 2))
+
+    def one(pair: tuple[str, str], own: int) -> PairResult:
+        return register_pair(prepared[pair[0]], prepared[pair[1]], options, len(tried), own)
+
+    return _parallel(tried, one, "pairs", threads, say)
+
+
+def _evaluate_pairs(
+    prepared: Mapping[str, Prepared], pairs: Sequence[PairResult], threads: int, say: Progress
+) -> dict[tuple[str, str], OverlapEvaluation]:
+    accepted = [pair for pair in pairs if pair.T_a_b is not None]
+    names = {name for pair in accepted for name in (pair.a, pair.b)}
+    sides = {
+        name: evaluation.Prepared(p.measurement, p.surface, p.contrast) for name, p in prepared.items() if name in names
+    }
+
+    def one(pair: PairResult, own: int) -> OverlapEvaluation:
+        return evaluate_overlap(sides[pair.a], sides[pair.b], np.asarray(pair.T_a_b), threads=own)
+
+    found = _parallel(accepted, one, "overlap", threads, say)
+    return {(pair.a, pair.b): overlap for pair, overlap in zip(accepted, found, strict=True)}
+
+
+def _with_overlap(pair: PairResult, overlap: OverlapEvaluation | None) -> PairResult:
+    return pair if overlap is None else replace(pair, overlap=overlap.overlap, overlap_error=overlap.error)
+
+
+def _node(measurement: Measurement, file: str, sha256: str) -> Node:
+    points = measurement.points_sensor[measurement.valid].astype(float)
+    return Node(measurement.name, file, sha256, points.mean(0) if len(points) else np.zeros(3))
 
 
 def _read_checked(capture: Capture, camera: str, size_px: tuple[int, int], threads: int) -> list[GreyImage]:

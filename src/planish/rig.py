@@ -13,14 +13,18 @@ from pydantic import Field
 
 from planish import storage
 from planish.errors import InputError
-from planish.geometry import Array, invert, require_rigid
+from planish.geometry import Array, invert, require_array, require_rigid
 from planish.options import Strict
 
 SCHEMA = "planish.rig/1"
 #: Numbers of distortion coefficients OpenCV knows; the tilted sensor (14) is not supported by the kernels.
 DISTORTION_LENGTHS = (0, 4, 5, 8, 12)
-#: Fixed-point steps of the inverse distortion; real lenses need about ten for 1e-13.
-UNDISTORT_ITERATIONS = 50
+#: Newton steps of the inverse distortion; real lenses need three to five for UNDISTORT_TOLERANCE.
+UNDISTORT_ITERATIONS = 20
+#: Residual in normalised coordinates (1e-13 = 1e-9 px at most) at which the inverse distortion is done.
+UNDISTORT_TOLERANCE = 1e-13
+#: Rounding that a covariance in a file may carry, relative to its largest element.
+COVARIANCE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -54,13 +58,12 @@ class Camera:
         name: str = "camera",
     ) -> Self:
         """Check the values and fill the distortion with zeros; errors name `name`."""
-        matrix = np.asarray(K, float)
-        if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
-            raise InputError(
-                f"{name}.K",
-                f"found {matrix.tolist()}",
-                "a 3 x 3 camera matrix with positive focal lengths [px]",
-            )
+        expected = "a 3 x 3 camera matrix [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] with fx, fy > 0 [px]"
+        matrix = require_array(K, (3, 3), f"{name}.K", expected)
+        if min(matrix[0, 0], matrix[1, 1]) <= 0 or matrix[1, 0] != 0 or not np.array_equal(matrix[2], [0, 0, 1]):
+            raise InputError(f"{name}.K", f"found {matrix.tolist()}", expected)
+        if min(size_px) < 1:
+            raise InputError(f"{name}.size_px", f"found {tuple(size_px)}", "a (width, height) of 1 px and more")
         coefficients = np.ravel(np.asarray(distortion, float))
         if len(coefficients) == 14 and not coefficients[12:].any():
             coefficients = coefficients[:12]
@@ -113,13 +116,38 @@ class Camera:
         return np.stack([dx, dy], -1)
 
     def _undistort(self, distorted: Array) -> Array:
+        # Newton's method; NaN where no ray belongs to the pixel (the distortion is one to one in a limited range).
         n = distorted.copy()
-        for _ in range(UNDISTORT_ITERATIONS):
-            step = distorted - self._distort(n)
-            n += step
-            if np.abs(step).max(initial=0.0) < 1e-13:
-                break
+        with np.errstate(all="ignore"):
+            for _ in range(UNDISTORT_ITERATIONS):
+                residual = distorted - self._distort(n)
+                left = np.abs(residual).max(1) > UNDISTORT_TOLERANCE
+                if not left.any():
+                    return n
+                J, r = self._distortion_jacobian(n[left]), residual[left]
+                step = np.stack([J[3] * r[:, 0] - J[1] * r[:, 1], J[0] * r[:, 1] - J[2] * r[:, 0]], -1)
+                n[left] += step / (J[0] * J[3] - J[1] * J[2])[:, None]
+        n[left] = np.nan
         return n
+
+    def _distortion_jacobian(self, n: Array) -> Array:
+        # Derivative of _distort, row by row (4, N); `slope` is d radial / d r2.
+        k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self.distortion
+        x, y = n.T
+        r2 = x * x + y * y
+        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
+        slope = (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / below
+        cross = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        prism_x, prism_y = 2 * (s1 + 2 * s2 * r2), 2 * (s3 + 2 * s4 * r2)
+        return np.stack(
+            [
+                radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x + prism_x * x,
+                cross + prism_x * y,
+                cross + prism_y * x,
+                radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x + prism_y * y,
+            ]
+        )
 
     @cached_property
     def kernel_parameters(self) -> Array:
@@ -223,8 +251,19 @@ class _CamerasFile(Strict):
 
 
 class _CovarianceFile(Strict):
-    parameters: list[str]
+    parameters: list[str] = Field(min_length=1)
     matrix: list[list[float]]
+
+    def checked(self, subject: str) -> tuple[Array, tuple[str, ...]]:
+        n = len(self.parameters)
+        expected = f"a symmetric, positive semidefinite matrix ({n}, {n}), one row per name in 'parameters'"
+        matrix = require_array(self.matrix, (n, n), f"{subject}.matrix", expected)
+        slack = COVARIANCE_TOLERANCE * np.abs(matrix).max()
+        if np.abs(matrix - matrix.T).max() > slack or np.linalg.eigvalsh(matrix).min() < -slack:
+            raise InputError(f"{subject}.matrix", "found a matrix that is no covariance", expected)
+        if len(set(self.parameters)) != n:
+            raise InputError(f"{subject}.parameters", "found a name twice", "each name once")
+        return matrix, tuple(self.parameters)
 
 
 class _RigFile(Strict):
@@ -247,8 +286,4 @@ class _RigFile(Strict):
             )
         if self.covariance is None:
             return Rig(cameras, projector)
-        matrix = np.asarray(self.covariance.matrix, float)
-        n = len(self.covariance.parameters)
-        if matrix.shape != (n, n) or np.linalg.eigvalsh((matrix + matrix.T) / 2).min() < -1e-9 * np.abs(matrix).max():
-            raise InputError(f"{subject}: covariance", f"a matrix of shape {matrix.shape}", f"a covariance ({n}, {n})")
-        return Rig(cameras, projector, matrix, tuple(self.covariance.parameters))
+        return Rig(cameras, projector, *self.covariance.checked(f"{subject}: covariance"))

@@ -31,7 +31,10 @@ _NONE = "planish: none"
 @contextlib.contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`; rename it to `path` when the block ends well, remove it otherwise."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(path.parent, f"cannot be made a folder ({error.strerror})", "a folder to write to") from None
     temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         yield temporary
@@ -89,9 +92,11 @@ def load(path: Path, kind: type[T], schema: str) -> T:
             if found != schema:
                 raise InputError(path, f"schema is {found!r}", f"'{schema}'")
             return _read_fields(file, kind)
-    except InputError:
-        raise
-    except (OSError, KeyError, RuntimeError, TypeError, ValueError) as error:
+    except InputError as error:
+        if error.subject.startswith(str(path)):
+            raise
+        raise InputError(f"{path}: {error.subject}", error.found, error.expected) from None
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError) as error:
         raise InputError(path, f"is damaged or not HDF5 ({error})", f"a whole file of schema {schema}") from None
 
 

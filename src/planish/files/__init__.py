@@ -1,1 +1,1 @@
-"""Clouds of other programs: reading and writing."""
+"""Point clouds in the formats of other programs."""

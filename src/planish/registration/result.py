@@ -11,7 +11,7 @@ from pydantic import Field
 
 from planish import storage
 from planish.errors import InputError
-from planish.geometry import Array, require_rigid
+from planish.geometry import Array, require_array, require_rigid
 from planish.options import Strict
 
 SCHEMA = "planish.registration/1"
@@ -252,34 +252,55 @@ class _RegistrationFile(Strict):
 
     def to_registration(self, subject: str) -> Registration:
         return Registration(
-            tuple(Group(g.id, g.reference) for g in self.groups),
+            self._groups(subject),
             tuple(_placed(m, f"{subject}: {m.name}") for m in self.measurements),
             tuple(_pair(p, f"{subject}: pair {p.a}, {p.b}") for p in self.pairs),
             self.options,
             self.versions,
         )
 
+    def _groups(self, subject: str) -> tuple[Group, ...]:
+        names = {item.name for item in self.measurements}
+        unknown = {name for pair in self.pairs for name in (pair.a, pair.b)} | {g.reference for g in self.groups}
+        if len(names) != len(self.measurements) or unknown - names:
+            problem = f"unknown measurements {sorted(unknown - names)}" if unknown - names else "a measurement twice"
+            raise InputError(subject, f"found {problem}", "each measurement once, named as in 'measurements'")
+        if {item.group for item in self.measurements} != {g.id for g in self.groups}:
+            raise InputError(subject, "groups and measurements do not fit", "one group per 'group' of a measurement")
+        return tuple(Group(g.id, g.reference) for g in self.groups)
 
-def _optional(value: Any) -> Array | None:
-    return None if value is None else np.asarray(value, float)
+
+def _covariance(value: Matrix | None, subject: str) -> Array | None:
+    return None if value is None else require_array(value, (6, 6), subject, "a covariance (6, 6)")
 
 
 def _placed(item: _PlacedFile, subject: str) -> PlacedMeasurement:
     return PlacedMeasurement(
-        item.name, item.file, item.sha256, item.group,
+        item.name,
+        item.file,
+        item.sha256,
+        item.group,
         require_rigid(item.T_world_measurement, f"{subject}: T_world_measurement"),
-        np.asarray(item.covariance_noise), _optional(item.covariance_calibration), np.asarray(item.covariance_point_mm),
-    )  # fmt: skip
+        require_array(item.covariance_noise, (6, 6), f"{subject}: covariance_noise", "a covariance (6, 6)"),
+        _covariance(item.covariance_calibration, f"{subject}: covariance_calibration"),
+        np.asarray(item.covariance_point_mm),
+    )
 
 
 def _pair(item: _PairFile, subject: str) -> PairResult:
+    if (item.T_a_b is not None) != (item.status == "accepted"):
+        found = "no T_a_b" if item.T_a_b is None else "a T_a_b"
+        raise InputError(subject, f"status '{item.status}' with {found}", "a T_a_b exactly where accepted")
     values = item.model_dump()
-    for key in ("covariance_noise", "covariance_calibration", "covariance_point_mm"):
-        values[key] = _optional(values[key])
+    for key in ("covariance_noise", "covariance_calibration"):
+        values[key] = _covariance(values[key], f"{subject}: {key}")
+    if item.covariance_point_mm is not None:
+        values["covariance_point_mm"] = np.asarray(item.covariance_point_mm)
     if item.T_a_b is not None:
         values["T_a_b"] = require_rigid(item.T_a_b, f"{subject}: T_a_b")
     if item.runner_up is not None:
-        values["runner_up"] = RunnerUp(**{**values["runner_up"], "T_a_b": np.asarray(item.runner_up.T_a_b)})
+        T_a_b = require_rigid(item.runner_up.T_a_b, f"{subject}: runner_up.T_a_b")
+        values["runner_up"] = RunnerUp(**{**values["runner_up"], "T_a_b": T_a_b})
     values["observability"] = tuple(Direction(**direction) for direction in values["observability"])
     if item.overlap_error is not None:
         values["overlap_error"] = OverlapError(**values["overlap_error"])

@@ -176,11 +176,15 @@ class Capture:
         for folder in (prefer, self.images_dir):
             if folder is None:
                 continue
-            path = (folder / name).resolve()
+            try:
+                path = (folder / name).resolve()
+                exists = path.is_file()
+            except (OSError, ValueError, RuntimeError):  # too long, a zero byte, a circle of links
+                raise InputError(self.path, f"'{name[:80]}' is no file name", "a name inside the folder") from None
             # A manifest from outside must not make us read files elsewhere on the machine.
             if not path.is_relative_to(folder.resolve()):
                 raise InputError(self.path, f"the name '{name}' leaves the folder {folder}", "a name inside it")
-            if path.is_file() or folder == self.images_dir:
+            if exists or folder == self.images_dir:
                 return folder / name
         raise AssertionError
 
@@ -201,10 +205,11 @@ def read_grey(path: Path) -> GreyImage:
 
 
 def _whole(path: Path) -> bool:
-    # OpenCV returns a truncated PNG with its missing rows black and no error: look for the end chunk.
-    if path.suffix.lower() != ".png":
-        return path.stat().st_size > 0
+    # Some versions of OpenCV return a truncated PNG with its missing rows black and no error: look for the end chunk.
     with path.open("rb") as file:
+        start = file.read(8)
+        if start != b"\x89PNG\r\n\x1a\n":
+            return len(start) > 0
         file.seek(max(0, path.stat().st_size - 64))
         return b"IEND" in file.read()
 

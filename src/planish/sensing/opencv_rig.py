@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from planish.errors import InputError
-from planish.geometry import Array, compose
+from planish.geometry import Array, compose, require_array
 from planish.rig import Camera, Rig
 
 #: Names in use for each matrix, the first that is found counts.
@@ -42,14 +42,22 @@ def read_opencv_rig(files: Sequence[Path], size_px: tuple[int, int]) -> Rig:
                     node = storage.getNode(name)
                     if key not in found and not node.empty() and node.mat() is not None:
                         found[key] = np.asarray(node.mat(), float)
-        except cv2.error as error:
-            raise InputError(path, f"cannot be read by OpenCV ({error.err})", "an OpenCV calibration file") from None
+        # OpenCV's Python binding reports a file that it cannot parse as SystemError.
+        except (cv2.error, SystemError) as error:
+            cause = getattr(error, "err", "") or "no YAML or XML that it can parse"
+            raise InputError(path, f"cannot be read by OpenCV ({cause})", "an OpenCV calibration file") from None
     for key, names in _KEYS.items():
         if key not in found:
             raise InputError(", ".join(map(str, files)), f"no matrix named {' or '.join(names)}", f"the matrix {key}")
+    subject = ", ".join(map(str, files))
+    R = require_array(found["R"], (3, 3), f"{subject}: R", "a rotation matrix (3, 3)")
+    T = require_array(np.ravel(found["T"]), (3,), f"{subject}: T", "a translation (3,) in mm")
+    transforms = {"A": np.eye(4), "B": compose(R, T)}
     return Rig(
         {
-            "A": Camera.make(found["K_A"], found["distortion_A"], size_px, np.eye(4), "A"),
-            "B": Camera.make(found["K_B"], found["distortion_B"], size_px, compose(found["R"], found["T"]), "B"),
+            name: Camera.make(
+                found[f"K_{name}"], found[f"distortion_{name}"], size_px, T_camera_sensor, f"{subject}: {name}"
+            )
+            for name, T_camera_sensor in transforms.items()
         }
     )

@@ -17,15 +17,17 @@ from planish.simulation.sensor import Sensor, reference_rig
 from planish.simulation.surfaces import Cylinder, Door, Pipe, Plate, Step, Surface, Waves
 from planish.simulation.texture import BLANK, Grain, Marks, Texture
 
+_CLUTTER = Texture(
+    albedo=0.3, grain=Grain(0.08, 6.0, 3.0), scratches=None, specks=Marks(4.0, 0.4, (1.0, 6.0), (1.0, 6.0), 0.4)
+)
+
 
 @dataclass(frozen=True)
 class Background:
     """A textured plane z = `z_mm` of the sensor frame: it moves with the sensor, not with the part."""
 
     z_mm: float = -60.0
-    texture: Texture = Texture(
-        albedo=0.3, grain=Grain(0.08, 6.0, 3.0), scratches=None, specks=Marks(4.0, 0.4, (1.0, 6.0), (1.0, 6.0), 0.4)
-    )
+    texture: Texture = field(default_factory=lambda: _CLUTTER)
 
 
 @dataclass(frozen=True)
@@ -165,7 +167,7 @@ def _walk(
 
 
 def _zigzag(count: int, step_mm: float, height_mm: float, limit_mm: float) -> Array:
-    """Return a path (count, 2) that goes to and fro between s = -limit_mm and limit_mm, up and down in t."""
+    """Return a path (count, 2) that swings between s = -limit_mm and limit_mm, up and down in t."""
     along = np.arange(count) * step_mm
     span = 2 * limit_mm
     s = span / 2 - np.abs(np.mod(along + max(0.0, span - step_mm * (count - 1)) / 2, 2 * span) - span)

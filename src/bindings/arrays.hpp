@@ -1,0 +1,78 @@
+#pragma once
+
+// Arrays of Python as views for the core, and results of the core as arrays of Python.
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <cstddef>
+
+#include "core/camera.hpp"
+#include "core/image.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+template <class T, int N>
+using In = nb::ndarray<const T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
+template <class T, int N>
+using Out = nb::ndarray<nb::numpy, T, nb::ndim<N>>;
+
+/// A view of an array (H, W) or (H, W, C).
+template <class T, int N>
+planish::Image<const T> view(const In<T, N>& array) {
+    static_assert(N == 2 || N == 3);
+    return {array.data(), static_cast<int>(array.shape(0)), static_cast<int>(array.shape(1)),
+            N == 3 ? static_cast<int>(array.shape(N - 1)) : 1};
+}
+
+/// A new array that owns its memory, and a view of it.
+template <class T>
+struct Owned {
+    planish::Image<T> image;
+    nb::capsule owner;
+
+    Owned(int height, int width, int channels)
+        : image{new T[static_cast<std::size_t>(height) * width * channels], height, width, channels},
+          owner(image.data, [](void* p) noexcept { delete[] static_cast<T*>(p); }) {}
+    [[nodiscard]] Out<T, 2> map() const {
+        const std::size_t shape[2] = {static_cast<std::size_t>(image.height), static_cast<std::size_t>(image.width)};
+        return Out<T, 2>(image.data, 2, shape, owner);
+    }
+    [[nodiscard]] Out<T, 3> maps() const {
+        const std::size_t shape[3] = {static_cast<std::size_t>(image.height), static_cast<std::size_t>(image.width),
+                                      static_cast<std::size_t>(image.channels)};
+        return Out<T, 3>(image.data, 3, shape, owner);
+    }
+};
+
+/// Camera from planish.rig.Camera.kernel_parameters.
+inline planish::Camera camera_from(const In<double, 1>& p) {
+    planish::Camera camera{};
+    const double* x = p.data();
+    camera.fx = x[0];
+    camera.fy = x[1];
+    camera.cx = x[2];
+    camera.cy = x[3];
+    camera.skew = x[4];
+    std::copy_n(x + 5, 12, camera.k.begin());
+    for (int i = 0; i < 3; ++i) {
+        for (int j = 0; j < 3; ++j) camera.R_camera_sensor(i, j) = x[17 + 3 * i + j];
+        camera.t_camera_sensor[i] = x[26 + i];
+    }
+    return camera;
+}
+
+/// Rigid transform from an array (4, 4).
+struct Rigid {
+    Eigen::Matrix3d R;
+    Eigen::Vector3d t;
+    explicit Rigid(const In<double, 2>& T) {
+        for (int i = 0; i < 3; ++i) {
+            for (int j = 0; j < 3; ++j) R(i, j) = T(i, j);
+            t[i] = T(i, 3);
+        }
+    }
+};

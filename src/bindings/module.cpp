@@ -1,0 +1,29 @@
+// The module: src/bindings/ is the only folder that knows Python. It turns arrays into views, releases the GIL and
+// turns results into arrays. Names, checks, defaults and error texts belong to the Python side.
+
+#include <nanobind/nanobind.h>
+
+#include <thread>
+
+#include "bindings/bindings.hpp"
+
+namespace {
+
+bool cpu_has_avx2() {
+#if defined(__x86_64__) && (defined(__GNUC__) || defined(__clang__))
+    return __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma");
+#else
+    return false;
+#endif
+}
+
+}  // namespace
+
+NB_MODULE(PLANISH_MODULE, m) {
+    m.def("cpu_has_avx2", &cpu_has_avx2, "True where the AVX2 + FMA build of the kernels may be used.");
+    m.def("cpu_count", [] { return static_cast<int>(std::thread::hardware_concurrency()); });
+    bind_sensing(m);
+    bind_registration(m);
+    bind_evaluation(m);
+    bind_simulation(m);
+}

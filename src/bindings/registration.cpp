@@ -1,0 +1,178 @@
+// Bindings of the registration kernels.
+
+#include <cmath>
+#include <cstdint>
+#include <vector>
+
+#include "bindings/arrays.hpp"
+#include "bindings/bindings.hpp"
+#include "core/chart.hpp"
+#include "core/consensus.hpp"
+#include "core/joint.hpp"
+#include "core/match.hpp"
+#include "core/surface.hpp"
+
+namespace {
+
+nb::tuple fit_surface(const In<float, 3>& points, const In<double, 1>& camera, int radius, double max_slope,
+                      int threads) {
+    const auto in = view<float, 3>(points);
+    Owned<float> smoothed(in.height, in.width, 3), normals(in.height, in.width, 3), tangents(in.height, in.width, 6);
+    {
+        nb::gil_scoped_release release;
+        planish::fit_surface(in, camera_from(camera), {radius, max_slope}, threads, smoothed.image, normals.image,
+                             tangents.image);
+    }
+    return nb::make_tuple(smoothed.maps(), normals.maps(), tangents.maps());
+}
+
+nb::tuple rasterise_chart(const In<float, 3>& points, const In<float, 3>& normals, const In<double, 2>& T_chart_sensor,
+                          double pitch, double min_cosine, double max_edge, int height, int width) {
+    Owned<float> source(height, width, 2), z(height, width, 1);
+    {
+        const Rigid T(T_chart_sensor);
+        nb::gil_scoped_release release;
+        planish::rasterise_chart(view<float, 3>(points), view<float, 3>(normals), {T.R, T.t, pitch}, min_cosine,
+                                 max_edge, source.image, z.image);
+    }
+    return nb::make_tuple(source.maps(), z.map());
+}
+
+/// Points (M, 3) and frames (M, 3, 3) of both sides of M matches.
+nb::tuple find_consensus(const In<double, 2>& points_a, const In<double, 2>& points_b, const In<double, 3>& frames_a,
+                         const In<double, 3>& frames_b, double tolerance, double frame_angle, double normal_angle,
+                         double min_baseline, int seeds, int partners, int keep, int threads) {
+    std::vector<planish::FramedMatch> matches(points_a.shape(0));
+    for (std::size_t m = 0; m < matches.size(); ++m)
+        for (int i = 0; i < 3; ++i) {
+            matches[m].point_a[i] = points_a(m, i);
+            matches[m].point_b[i] = points_b(m, i);
+            for (int j = 0; j < 3; ++j) {
+                matches[m].frame_a(i, j) = frames_a(m, i, j);
+                matches[m].frame_b(i, j) = frames_b(m, i, j);
+            }
+        }
+    std::vector<planish::Hypothesis> found;
+    {
+        nb::gil_scoped_release release;
+        found = planish::find_consensus(matches, {tolerance, frame_angle, normal_angle, min_baseline, seeds, partners},
+                                        keep, threads);
+    }
+    const auto count = static_cast<int>(found.size());
+    Owned<double> transforms(count, 4, 4);
+    Owned<std::int32_t> support(count, 1, 1);
+    for (int h = 0; h < count; ++h) {
+        for (int i = 0; i < 4; ++i)
+            for (int j = 0; j < 4; ++j)
+                transforms.image.at(h, i)[j] = i == 3   ? (j == 3 ? 1.0 : 0.0)
+                                               : j == 3 ? found[h].t_a_b[i]
+                                                        : found[h].R_a_b(i, j);
+        *support.image.at(h, 0) = found[h].support;
+    }
+    return nb::make_tuple(transforms.maps(), support.map());
+}
+
+planish::JointMaps joint_maps(const nb::tuple& maps) {
+    return {
+        view<float, 3>(nb::cast<In<float, 3>>(maps[0])), view<float, 3>(nb::cast<In<float, 3>>(maps[1])),
+        view<float, 2>(nb::cast<In<float, 2>>(maps[2])), view<float, 3>(nb::cast<In<float, 3>>(maps[3])),
+        view<float, 2>(nb::cast<In<float, 2>>(maps[4])), view<std::uint8_t, 2>(nb::cast<In<std::uint8_t, 2>>(maps[5]))};
+}
+
+Out<double, 2> matrix6(const planish::Matrix6& value) {
+    Owned<double> out(6, 6, 1);
+    for (int i = 0; i < 6; ++i)
+        for (int j = 0; j < 6; ++j) *out.image.at(i, j) = value(i, j);
+    return out.map();
+}
+
+nb::tuple normal_equations(const planish::Normal& n) {
+    Owned<double> g(1, 6, 1);
+    std::copy_n(n.g.data(), 6, g.image.data);
+    return nb::make_tuple(matrix6(n.H), g.map(), n.cost, n.count);
+}
+
+/// Maps a, camera a, maps b: see planish::JointMaps. Returns normal equations of distance and texture, the unbiased
+/// texture information, correlation, number of conflicts, tile gradients (tiles, 6) and, if asked for, the residual
+/// maps.
+nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
+                                 const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
+                                 bool with_residuals, int threads) {
+    const auto number = [&](int i) { return nb::cast<double>(options[i]); };
+    const planish::JointOptions o{number(0),
+                                  number(1),
+                                  number(2),
+                                  number(3),
+                                  number(4),
+                                  number(5),
+                                  nb::cast<int>(options[6]),
+                                  nb::cast<int>(options[7])};
+    const auto a = joint_maps(maps_a), b = joint_maps(maps_b);
+    const Rigid T(T_a_b);
+    Owned<float> distances(with_residuals ? b.points.height : 0, b.points.width, 1);
+    Owned<float> differences(with_residuals ? b.points.height : 0, b.points.width, 1);
+    planish::JointResult result;
+    {
+        const auto camera = camera_from(camera_a);
+        nb::gil_scoped_release release;
+        const planish::Image<float> none;
+        result = planish::joint_normal_equations(a, camera, b, T.R, T.t, {about(0), about(1), about(2)}, o, threads,
+                                                 with_residuals ? distances.image : none,
+                                                 with_residuals ? differences.image : none);
+    }
+    Owned<double> tiles(static_cast<int>(result.tile_gradients.size()), 6, 1);
+    for (std::size_t i = 0; i < result.tile_gradients.size(); ++i)
+        std::copy_n(result.tile_gradients[i].data(), 6, tiles.image.row(static_cast<int>(i)));
+    const auto& s = result.sums;
+    const double norm = std::sqrt(s.correlation_aa * s.correlation_bb);
+    return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_texture_unbiased),
+                          norm > 0 ? s.correlation_ab / norm : 0.0, s.conflicts, tiles.map(), distances.map(),
+                          differences.map());
+}
+
+Out<float, 3> tangential_gradient(const In<float, 2>& texture, const In<float, 3>& tangents, int threads) {
+    const auto in = view<float, 2>(texture);
+    Owned<float> gradient(in.height, in.width, 3);
+    {
+        nb::gil_scoped_release release;
+        planish::tangential_gradient(in, view<float, 3>(tangents), threads, gradient.image);
+    }
+    return gradient.maps();
+}
+
+/// Per row of a: nearest row of b (-1 = none), its squared distance, that of the second (INT32_MAX = none), as (N, 3).
+Out<std::int32_t, 2> nearest_descriptors(const In<std::uint8_t, 2>& a, const In<double, 1>& size_a,
+                                         const In<std::uint8_t, 2>& b, const In<double, 1>& size_b,
+                                         double max_size_ratio, int threads) {
+    const auto wrap = [](const In<std::uint8_t, 2>& d, const In<double, 1>& size) {
+        return planish::Descriptors{{d.data(), d.size()}, {size.data(), size.size()}, d.shape(1)};
+    };
+    planish::Nearest found;
+    {
+        nb::gil_scoped_release release;
+        found = planish::nearest_descriptors(wrap(a, size_a), wrap(b, size_b), max_size_ratio, threads);
+    }
+    Owned<std::int32_t> out(static_cast<int>(found.best.size()), 3, 1);
+    for (std::size_t i = 0; i < found.best.size(); ++i) {
+        std::int32_t* row = out.image.row(static_cast<int>(i));
+        row[0] = found.best[i];
+        row[1] = found.best_squared[i];
+        row[2] = found.second_squared[i];
+    }
+    return out.map();
+}
+
+}  // namespace
+
+void bind_registration(nb::module_& m) {
+    m.def("tangential_gradient", &tangential_gradient, "texture"_a, "tangents"_a, "threads"_a);
+    m.def("nearest_descriptors", &nearest_descriptors, "a"_a, "size_a"_a, "b"_a, "size_b"_a, "max_size_ratio"_a,
+          "threads"_a);
+    m.def("fit_surface", &fit_surface, "points"_a, "camera"_a, "radius"_a, "max_slope"_a, "threads"_a);
+    m.def("rasterise_chart", &rasterise_chart, "points"_a, "normals"_a, "T_chart_sensor"_a, "pitch"_a, "min_cosine"_a,
+          "max_edge"_a, "height"_a, "width"_a);
+    m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
+          "frame_angle"_a, "normal_angle"_a, "min_baseline"_a, "seeds"_a, "partners"_a, "keep"_a, "threads"_a);
+    m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
+          "options"_a, "with_residuals"_a, "threads"_a);
+}

@@ -1,0 +1,254 @@
+// Bindings of the sensing kernels.
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/vector.h>
+
+#include <algorithm>
+#include <cstdint>
+#include <initializer_list>
+#include <memory>
+#include <stdexcept>
+#include <thread>
+#include <vector>
+
+#include "bindings/bindings.hpp"
+#include "core/camera.hpp"
+#include "core/correspond.hpp"
+#include "core/decode_gray.hpp"
+#include "core/decode_phase.hpp"
+#include "core/image.hpp"
+#include "core/islands.hpp"
+#include "core/phase_edges.hpp"
+#include "core/repair_periods.hpp"
+#include "core/triangulate.hpp"
+#include "core/undistortion.hpp"
+
+namespace nb = nanobind;
+
+namespace {
+
+// --- arrays --------------------------------------------------------------------------------------------------------
+
+template <class T>
+using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Out = nb::ndarray<nb::numpy, T>;
+using AnyImage = nb::ndarray<nb::ro, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+/// A new array that Python owns; its values are not set.
+template <class T>
+Out<T> make_array(std::initializer_list<std::size_t> shape) {
+    std::size_t size = 1;
+    for (const std::size_t n : shape) size *= n;
+    auto data = std::make_unique_for_overwrite<T[]>(size);
+    T* raw = data.release();
+    nb::capsule owner(raw, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+    return Out<T>(raw, shape.size(), shape.begin(), owner);
+}
+
+/// View of an array (H, W) or (H, W, C); an array of size 0 becomes an empty view.
+template <class Array>
+auto view(const Array& a) {
+    using T = std::remove_pointer_t<decltype(a.data())>;
+    if (a.size() == 0) return planish::Image<T>{};
+    return planish::Image<T>{a.data(), static_cast<int>(a.shape(0)), static_cast<int>(a.shape(1)),
+                             a.ndim() > 2 ? static_cast<int>(a.shape(2)) : 1};
+}
+
+/// Camera from Camera.kernel_parameters (29,).
+planish::Camera make_camera(const In<double>& parameters) {
+    if (parameters.size() != 29) throw std::invalid_argument("a camera has 29 parameters");
+    const double* p = parameters.data();
+    planish::Camera camera{p[0], p[1], p[2], p[3], p[4], {}, {}, {}};
+    std::copy_n(p + 5, 12, camera.k.begin());
+    camera.R_camera_sensor = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(p + 17);
+    camera.t_camera_sensor = Eigen::Map<const Eigen::Vector3d>(p + 26);
+    return camera;
+}
+
+// --- sensing -------------------------------------------------------------------------------------------------------
+
+template <class T>
+std::vector<planish::PhaseSteps<T>> make_steps(const std::vector<AnyImage>& images, const std::vector<int>& counts,
+                                               const std::vector<float>& angles_cos,
+                                               const std::vector<float>& angles_sin,
+                                               const std::vector<float>& periods) {
+    std::vector<planish::PhaseSteps<T>> steps(counts.size());
+    std::size_t next = 0;
+    for (std::size_t i = 0; i < counts.size(); ++i) {
+        steps[i].period_px = periods[i];
+        for (int k = 0; k < counts[i]; ++k, ++next) {
+            steps[i].images.push_back(static_cast<const T*>(images[next].data()));
+            steps[i].cos_angle.push_back(angles_cos[next]);
+            steps[i].sin_angle.push_back(angles_sin[next]);
+        }
+    }
+    return steps;
+}
+
+bool is_8_bit(const std::vector<AnyImage>& images) {
+    if (images.empty()) throw std::invalid_argument("no images");
+    const auto type = images.front().dtype();
+    for (const auto& image : images)
+        if (image.dtype() != type || image.shape(0) != images.front().shape(0) ||
+            image.shape(1) != images.front().shape(1))
+            throw std::invalid_argument("images differ in size or type");
+    if (type == nb::dtype<std::uint8_t>()) return true;
+    if (type == nb::dtype<std::uint16_t>()) return false;
+    throw std::invalid_argument("images must be uint8 or uint16");
+}
+
+nb::tuple decode_phase(const std::vector<AnyImage>& images, const std::vector<int>& counts,
+                       const std::vector<float>& angles_cos, const std::vector<float>& angles_sin,
+                       const std::vector<float>& periods, const In<float>& coarse, float saturation, float noise_offset,
+                       float noise_slope, float max_phase_sigma_rad, float coarse_limit_px, float range_start_px,
+                       float range_length_px, int threads) {
+    const bool narrow = is_8_bit(images);
+    const std::size_t h = images[0].shape(0), w = images[0].shape(1);
+    auto position = make_array<float>({h, w}), sigma = make_array<float>({h, w}), mean = make_array<float>({h, w}),
+         modulation = make_array<float>({h, w});
+    auto rejected = make_array<std::uint16_t>({h, w});
+    const planish::DecodeSettings settings{saturation,      noise_offset,   noise_slope,    max_phase_sigma_rad,
+                                           coarse_limit_px, range_start_px, range_length_px};
+    const planish::PhaseResult out{view(position), view(sigma), view(mean), view(modulation), view(rejected)};
+    const auto coarse_view = view(coarse);
+    {
+        nb::gil_scoped_release release;
+        if (narrow)
+            planish::decode_phase(make_steps<std::uint8_t>(images, counts, angles_cos, angles_sin, periods),
+                                  coarse_view, settings, threads, out);
+        else
+            planish::decode_phase(make_steps<std::uint16_t>(images, counts, angles_cos, angles_sin, periods),
+                                  coarse_view, settings, threads, out);
+    }
+    return nb::make_tuple(position, sigma, mean, modulation, rejected);
+}
+
+template <class T>
+std::vector<planish::GrayBit<T>> make_bits(const std::vector<AnyImage>& images, const std::vector<int>& inverse) {
+    std::vector<planish::GrayBit<T>> bits;
+    for (std::size_t i = 0; i < inverse.size(); ++i)
+        bits.push_back({static_cast<const T*>(images[i].data()),
+                        inverse[i] < 0 ? nullptr : static_cast<const T*>(images[inverse[i]].data())});
+    return bits;
+}
+
+Out<float> decode_gray(const std::vector<AnyImage>& images, const std::vector<int>& inverse, const In<float>& threshold,
+                       int threads) {
+    const bool narrow = is_8_bit(images);
+    auto cell = make_array<float>({images[0].shape(0), images[0].shape(1)});
+    const auto out = view(cell);
+    const auto limit = view(threshold);
+    nb::gil_scoped_release release;
+    if (narrow)
+        planish::decode_gray(make_bits<std::uint8_t>(images, inverse), limit, threads, out);
+    else
+        planish::decode_gray(make_bits<std::uint16_t>(images, inverse), limit, threads, out);
+    return cell;
+}
+
+Out<float> undistortion_shifts(const In<double>& camera, int height, int width, int threads) {
+    auto shifts = make_array<float>({static_cast<std::size_t>(height), static_cast<std::size_t>(width), 2});
+    const auto out = view(shifts);
+    const planish::Camera model = make_camera(camera);
+    nb::gil_scoped_release release;
+    planish::undistortion_shifts(model, threads, out);
+    return shifts;
+}
+
+nb::tuple repair_periods(const In<float>& position, const In<float>& sigma, const In<std::uint16_t>& rejected,
+                         float period_px, float tolerance_px, float sigmas, int threads) {
+    const std::size_t h = position.shape(0), w = position.shape(1);
+    auto new_position = make_array<float>({h, w}), new_sigma = make_array<float>({h, w});
+    auto new_rejected = make_array<std::uint16_t>({h, w});
+    const auto p = view(position), s = view(sigma);
+    const auto r = view(rejected);
+    const auto np = view(new_position), ns = view(new_sigma);
+    const auto nr = view(new_rejected);
+    {
+        nb::gil_scoped_release release;
+        planish::repair_periods(p, s, r, period_px, tolerance_px, sigmas, threads, np, ns, nr);
+    }
+    return nb::make_tuple(new_position, new_sigma, new_rejected);
+}
+
+Out<std::uint8_t> phase_edges(const In<float>& position, const In<float>& sigma, float jump_px, float sigmas,
+                              int threads) {
+    auto edge = make_array<std::uint8_t>({position.shape(0), position.shape(1)});
+    const auto out = view(edge);
+    const auto p = view(position), s = view(sigma);
+    nb::gil_scoped_release release;
+    planish::phase_edges(p, s, jump_px, sigmas, threads, out);
+    return edge;
+}
+
+nb::tuple correspond(const In<float>& own_position, const In<float>& own_sigma, const In<float>& own_shift,
+                     const In<float>& other_position, const In<float>& other_sigma, const In<float>& other_shift,
+                     const In<double>& F, int threads) {
+    const std::size_t h = own_position.shape(0), w = own_position.shape(1);
+    auto pixel = make_array<float>({h, w, 2}), sigma = make_array<float>({h, w});
+    const planish::PhaseView own{view(own_position), view(own_sigma), view(own_shift)};
+    const planish::PhaseView other{view(other_position), view(other_sigma), view(other_shift)};
+    const Eigen::Matrix3d line = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(F.data());
+    const planish::CorrespondResult out{view(pixel), view(sigma)};
+    {
+        nb::gil_scoped_release release;
+        planish::correspond(own, other, line, threads, out);
+    }
+    return nb::make_tuple(pixel, sigma);
+}
+
+nb::tuple triangulate(const In<double>& own, const In<float>& own_shift, const In<double>& other,
+                      const In<float>& other_shift, const In<float>& pixel, const In<float>& sigma, int threads) {
+    const std::size_t h = pixel.shape(0), w = pixel.shape(1);
+    auto points = make_array<float>({h, w, 3}), sigma_mm = make_array<float>({h, w}), miss = make_array<float>({h, w});
+    const planish::ViewGeometry a{make_camera(own), view(own_shift)}, b{make_camera(other), view(other_shift)};
+    const planish::TriangulateResult out{view(points), view(sigma_mm), view(miss)};
+    const auto p = view(pixel), s = view(sigma);
+    {
+        nb::gil_scoped_release release;
+        planish::triangulate(a, b, p, s, threads, out);
+    }
+    return nb::make_tuple(points, sigma_mm, miss);
+}
+
+nb::tuple projector_residual(const In<double>& projector, int axis, const In<double>& center, const In<float>& points,
+                             const In<float>& sigma_mm, const In<float>& position, const In<float>& position_sigma,
+                             int threads) {
+    const std::size_t h = points.shape(0), w = points.shape(1);
+    auto residual = make_array<float>({h, w}), sigma = make_array<float>({h, w});
+    const planish::Camera model = make_camera(projector);
+    const Eigen::Vector3d origin(center.data()[0], center.data()[1], center.data()[2]);
+    const auto x = view(points), s = view(sigma_mm), p = view(position), ps = view(position_sigma);
+    const auto r = view(residual), rs = view(sigma);
+    {
+        nb::gil_scoped_release release;
+        planish::projector_residual(model, axis, origin, x, s, p, ps, threads, r, rs);
+    }
+    return nb::make_tuple(residual, sigma);
+}
+
+Out<std::uint8_t> islands(const In<float>& depth, const In<float>& sigma, float depth_per_pixel, float sigmas,
+                          int min_pixels) {
+    auto small = make_array<std::uint8_t>({depth.shape(0), depth.shape(1)});
+    const auto out = view(small);
+    const auto z = view(depth), s = view(sigma);
+    nb::gil_scoped_release release;
+    planish::islands(z, s, {depth_per_pixel, sigmas, min_pixels}, out);
+    return small;
+}
+
+}  // namespace
+
+void bind_sensing(nb::module_& m) {
+    m.def("decode_phase", &decode_phase);
+    m.def("decode_gray", &decode_gray);
+    m.def("undistortion_shifts", &undistortion_shifts);
+    m.def("repair_periods", &repair_periods);
+    m.def("phase_edges", &phase_edges);
+    m.def("correspond", &correspond);
+    m.def("triangulate", &triangulate);
+    m.def("projector_residual", &projector_residual);
+    m.def("islands", &islands);
+}

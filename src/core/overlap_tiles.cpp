@@ -1,0 +1,233 @@
+#include "core/overlap_tiles.hpp"
+
+#include <Eigen/LU>
+#include <array>
+#include <cmath>
+#include <cstddef>
+
+#include "core/parallel.hpp"
+
+namespace planish {
+namespace {
+
+constexpr int MAX_STEPS = 12;
+/// A step shorter than this [px] ends the iteration.
+constexpr double LAST_STEP_PX = 1e-3;
+
+struct Sample {
+    double value, du, dv, variance;
+};
+
+/// Weights of Keys' cubic convolution (1981, a = -1/2) and their derivatives at fraction f between pixels 0 and 1.
+void cubic(double f, std::array<double, 4>& w, std::array<double, 4>& d) {
+    const double f2 = f * f, f3 = f2 * f;
+    w = {0.5 * (-f3 + 2 * f2 - f), 0.5 * (3 * f3 - 5 * f2 + 2), 0.5 * (-3 * f3 + 4 * f2 + f), 0.5 * (f3 - f2)};
+    d = {0.5 * (-3 * f2 + 4 * f - 1), 0.5 * (9 * f2 - 10 * f), 0.5 * (-9 * f2 + 8 * f + 1), 0.5 * (3 * f2 - 2 * f)};
+}
+
+/// Value and derivatives at a pixel; false where the 4 x 4 neighbourhood is not whole.
+bool sample(const Contrast& b, double u, double v, Sample& out) {
+    const double fu = std::floor(u), fv = std::floor(v);
+    if (!(fu >= 1 && fv >= 1 && fu < b.value.width - 2 && fv < b.value.height - 2)) return false;
+    const int iu = static_cast<int>(fu), iv = static_cast<int>(fv);
+    std::array<double, 4> wu, du, wv, dv;
+    cubic(u - fu, wu, du);
+    cubic(v - fv, wv, dv);
+    out = {0, 0, 0, 0};
+    for (int j = 0; j < 4; ++j) {
+        const float* row = b.value.at(iv - 1 + j, iu - 1);
+        const double value = wu[0] * row[0] + wu[1] * row[1] + wu[2] * row[2] + wu[3] * row[3];
+        out.value += wv[j] * value;
+        out.du += wv[j] * (du[0] * row[0] + du[1] * row[1] + du[2] * row[2] + du[3] * row[3]);
+        out.dv += dv[j] * value;
+    }
+    const float sigma = *b.sigma.at(iv + (v - fv > 0.5), iu + (u - fu > 0.5));
+    out.variance = static_cast<double>(sigma) * sigma;
+    return out.value == out.value && out.variance == out.variance;
+}
+
+/// One pixel of a tile of a: its value, its gradient along the tangent directions [1 / mm], its pixel in b.
+struct Template {
+    double value, variance;
+    Eigen::Vector2d gradient, pixel_b;
+};
+
+void gather(const Contrast& a, const Image<const float>& pixels_b, const Tile& tile, int size,
+            std::vector<Template>& out) {
+    out.clear();
+    const int v_end = std::min((tile.row + 1) * size, a.value.height - 1);
+    const int u_end = std::min((tile.column + 1) * size, a.value.width - 1);
+    for (int v = std::max(1, tile.row * size); v < v_end; ++v)
+        for (int u = std::max(1, tile.column * size); u < u_end; ++u) {
+            const float* pixel = pixels_b.at(v, u);
+            const Eigen::Vector2d gradient(0.5 * (*a.value.at(v, u + 1) - *a.value.at(v, u - 1)),
+                                           0.5 * (*a.value.at(v + 1, u) - *a.value.at(v - 1, u)));
+            const double value = *a.value.at(v, u), sigma = *a.sigma.at(v, u);
+            const double all = value + sigma + gradient.sum() + pixel[0] + pixel[1];
+            if (!(all == all)) continue;
+            out.push_back({value, sigma * sigma, tile.J_a.transpose() * gradient, {pixel[0], pixel[1]}});
+        }
+}
+
+/// Weighted sums over the pixels of a tile at one shift.
+struct Fit {
+    Eigen::Vector2d rhs{0, 0};
+    Eigen::Matrix2d curvature{Eigen::Matrix2d::Zero()};
+    Eigen::Matrix2d spread{Eigen::Matrix2d::Zero()};
+    double residual_variance = 0;
+    double correlation = 0;
+    int pixels = 0;
+};
+
+Fit evaluate(const Contrast& b, const Tile& tile, const std::vector<Template>& pixels, const Eigen::Vector2d& shift) {
+    const Eigen::Vector2d step_b = tile.J_b * shift + tile.offset_b;
+    double sw = 0, sa = 0, sb = 0, saa = 0, sab = 0, sbb = 0;
+    Eigen::Vector2d sg(0, 0), sga(0, 0), sgb(0, 0), sh(0, 0);
+    Eigen::Matrix2d sgg = Eigen::Matrix2d::Zero(), sgh = Eigen::Matrix2d::Zero();
+    Fit fit;
+    for (const Template& p : pixels) {
+        Sample s;
+        if (!sample(b, p.pixel_b.x() + step_b.x(), p.pixel_b.y() + step_b.y(), s)) continue;
+        const double w = 1 / (p.variance + s.variance);
+        const Eigen::Vector2d h = tile.J_b.transpose() * Eigen::Vector2d(s.du, s.dv);
+        ++fit.pixels;
+        sw += w;
+        sa += w * p.value;
+        sb += w * s.value;
+        saa += w * p.value * p.value;
+        sab += w * p.value * s.value;
+        sbb += w * s.value * s.value;
+        sg += w * p.gradient;
+        sh += w * h;
+        sga += w * p.gradient * p.value;
+        sgb += w * p.gradient * s.value;
+        sgg += w * p.gradient * p.gradient.transpose();
+        sgh += w * p.gradient * h.transpose();
+    }
+    if (fit.pixels == 0) return fit;
+    // An offset between the two textures is a nuisance: eliminate it by taking every sum about its weighted mean.
+    fit.rhs = (sga - sg * sa / sw) - (sgb - sg * sb / sw);
+    sgg -= sg * sg.transpose() / sw;
+    sgh -= sg * sh.transpose() / sw;
+    const double aa = saa - sa * sa / sw, ab = sab - sa * sb / sw, bb = sbb - sb * sb / sw;
+    fit.curvature = 0.5 * (sgh + sgh.transpose());
+    fit.spread = sgg;
+    fit.residual_variance = (aa - 2 * ab + bb) / fit.pixels;  // in units of the stated variances
+    fit.correlation = ab / std::sqrt(aa * bb);
+    return fit;
+}
+
+/// Normal equations of one shift for several tiles.
+struct Normal {
+    Eigen::Vector2d rhs{0, 0};
+    Eigen::Matrix2d curvature{Eigen::Matrix2d::Zero()};
+
+    Normal& operator+=(const Normal& other) {
+        rhs += other.rhs;
+        curvature += other.curvature;
+        return *this;
+    }
+};
+
+/// Correlation coefficient of a tile and b at one shift, 0 where b has no texture there.
+double correlation(const Image<const float>& b, const Tile& tile, const std::vector<Template>& pixels,
+                   const Eigen::Vector2d& shift) {
+    const Eigen::Vector2d step_b = tile.J_b * shift + tile.offset_b;
+    double n = 0, sa = 0, sb = 0, saa = 0, sab = 0, sbb = 0;
+    for (const Template& p : pixels) {
+        const double u = p.pixel_b.x() + step_b.x(), v = p.pixel_b.y() + step_b.y();
+        if (!(u >= 0 && v >= 0 && u < b.width - 1 && v < b.height - 1)) continue;
+        const int iu = static_cast<int>(u), iv = static_cast<int>(v);
+        const double fu = u - iu, fv = v - iv;
+        const float *top = b.at(iv, iu), *bottom = b.at(iv + 1, iu);
+        const double value =
+            (1 - fv) * ((1 - fu) * top[0] + fu * top[1]) + fv * ((1 - fu) * bottom[0] + fu * bottom[1]);
+        if (!(value == value)) continue;
+        n += 1;
+        sa += p.value;
+        sb += value;
+        saa += p.value * p.value;
+        sab += p.value * value;
+        sbb += value * value;
+    }
+    const double r = (n * sab - sa * sb) / std::sqrt((n * saa - sa * sa) * (n * sbb - sb * sb));
+    return std::isfinite(r) ? r : 0.0;
+}
+
+TileShift align(const Contrast& b, const Tile& tile, const std::vector<Template>& pixels,
+                const Eigen::Vector2d& start) {
+    TileShift out;
+    out.shift_mm = start;
+    for (int step = 0; step < MAX_STEPS; ++step) {
+        const Fit fit = evaluate(b, tile, pixels, out.shift_mm);
+        out.pixels = fit.pixels;
+        out.correlation = fit.correlation;
+        const double determinant = fit.curvature.determinant();
+        if (!(determinant > 0 && fit.curvature.trace() > 0)) return out;
+        const Eigen::Matrix2d inverse = fit.curvature.inverse();
+        // The residuals of the tile itself stand for the noise: they hold what the stated noise leaves out.
+        out.covariance = std::max(1.0, fit.residual_variance) * inverse * fit.spread * inverse;
+        const Eigen::Vector2d delta = inverse * fit.rhs;
+        out.shift_mm += delta;
+        if ((tile.J_a * delta).norm() < LAST_STEP_PX) {
+            out.converged = true;
+            return out;
+        }
+    }
+    return out;
+}
+
+}  // namespace
+
+std::vector<TileShift> tile_shifts(const Contrast& a, const Contrast& b, const Image<const float>& pixels_b,
+                                   const std::vector<Tile>& tiles, int size, const Eigen::Vector2d& start_mm,
+                                   int threads) {
+    std::vector<TileShift> out(tiles.size());
+    parallel_for(tiles.size(), threads, [&](std::size_t first, std::size_t last) {
+        std::vector<Template> pixels;
+        for (std::size_t i = first; i < last; ++i) {
+            gather(a, pixels_b, tiles[i], size, pixels);
+            out[i] = align(b, tiles[i], pixels, start_mm);
+        }
+    });
+    return out;
+}
+
+Eigen::Vector2d common_shift(const Contrast& a, const Contrast& b, const Image<const float>& pixels_b,
+                             const std::vector<Tile>& tiles, int size, const Eigen::Vector2d& start_mm, int threads) {
+    std::vector<std::vector<Template>> pixels(tiles.size());
+    parallel_for(tiles.size(), threads, [&](std::size_t first, std::size_t last) {
+        for (std::size_t i = first; i < last; ++i) gather(a, pixels_b, tiles[i], size, pixels[i]);
+    });
+    Eigen::Vector2d shift = start_mm;
+    for (int step = 0; step < MAX_STEPS; ++step) {
+        const Normal sum = parallel_sum<Normal>(tiles.size(), 1, threads, [&](std::size_t i, std::size_t) {
+            const Fit fit = evaluate(b, tiles[i], pixels[i], shift);
+            return Normal{fit.rhs, fit.curvature};
+        });
+        if (!(sum.curvature.determinant() > 0 && sum.curvature.trace() > 0)) return start_mm;
+        const Eigen::Vector2d delta = sum.curvature.inverse() * sum.rhs;
+        shift += delta;
+        if ((tiles.front().J_a * delta).norm() < LAST_STEP_PX) return shift;
+    }
+    return start_mm;
+}
+
+std::vector<double> shift_scores(const Contrast& a, const Contrast& b, const Image<const float>& pixels_b,
+                                 const std::vector<Tile>& tiles, int size, const std::vector<Eigen::Vector2d>& shifts,
+                                 int threads) {
+    std::vector<std::vector<double>> per_tile(tiles.size());
+    parallel_for(tiles.size(), threads, [&](std::size_t first, std::size_t last) {
+        std::vector<Template> pixels;
+        for (std::size_t i = first; i < last; ++i) {
+            gather(a, pixels_b, tiles[i], size, pixels);
+            for (const auto& shift : shifts) per_tile[i].push_back(correlation(b.value, tiles[i], pixels, shift));
+        }
+    });
+    std::vector<double> out(shifts.size(), 0.0);
+    for (const auto& scores : per_tile)
+        for (std::size_t i = 0; i < shifts.size(); ++i) out[i] += scores[i];
+    return out;
+}
+
+}  // namespace planish

@@ -1,0 +1,1 @@
+"""How well registered measurements agree: without truth on their overlap, with truth by transform."""

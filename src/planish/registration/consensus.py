@@ -1,0 +1,177 @@
+"""Consensus: the transform that the most matches agree on, without start value and without random numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from planish import _core
+from planish.geometry import Array, fit_rigid, rotation_angle, transform_points
+from planish.options import Options, thread_count
+from planish.registration.keypoints import Keypoints
+from planish.registration.match import Matches
+
+
+class ConsensusOptions(Options):
+    """Options of the consensus."""
+
+    #: Distance within which a match agrees with a transform [mm].
+    tolerance_mm: float = Field(default=1.0, gt=0)
+    #: Error of a keypoint's orientation [rad].
+    frame_angle_rad: float = Field(default=0.35, gt=0, lt=1.5)
+    #: Error of a keypoint's normal [rad].
+    normal_angle_rad: float = Field(default=0.2, gt=0, lt=1.5)
+    #: Shortest distance of two matches that make a hypothesis [mm].
+    min_baseline_mm: float = Field(default=12.0, gt=0)
+    #: Best supported matches tried as first of a pair, and partners tried for each.
+    seeds: int = Field(default=250, ge=1)
+    partners: int = Field(default=40, ge=1)
+    #: Matches nearer than this are one place when a consensus is counted [mm].
+    distinct_mm: float = Field(default=2.0, gt=0)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One transform and the matches that agree with it in position, normal and orientation.
+
+    Parameters
+    ----------
+    T_a_b : ndarray (4, 4)
+        Maps points of b into a.
+    members : ndarray (n,) int64
+        Indices of the agreeing matches.
+    places : int
+        Distinct places among them.
+    """
+
+    T_a_b: Array
+    members: NDArray[np.int64]
+    places: int
+
+
+@dataclass(frozen=True)
+class CoarseResult:
+    """Candidates of one pair, best first; the second is the best that contradicts the first.
+
+    Parameters
+    ----------
+    candidates : tuple of Candidate
+        None, one or two.
+    chance : float
+        Probability that a match that has nothing to do with a transform agrees with it all the same.
+    places : int
+        Distinct places among all matches (in a).
+    """
+
+    candidates: tuple[Candidate, ...]
+    chance: float
+    places: int
+    options: ConsensusOptions = field(default_factory=ConsensusOptions)
+
+
+def find_consensus(
+    a: Keypoints,
+    b: Keypoints,
+    matches: Matches,
+    options: ConsensusOptions | None = None,
+    threads: int | None = None,
+    exclude: NDArray[np.bool_] | None = None,
+) -> CoarseResult:
+    """Return the best transforms of b in a; `exclude` (M,) leaves matches out."""
+    options = options or ConsensusOptions()
+    use = np.arange(len(matches)) if exclude is None else np.flatnonzero(~exclude)
+    points_a, points_b = a.points_sensor[matches.index_a], b.points_sensor[matches.index_b]
+    chance = _chance(points_a[use], options)
+    places = count_places(points_a[use], options.distinct_mm)
+    first = _best(a, b, matches, use, options, thread_count(threads))
+    if first is None:
+        return CoarseResult((), chance, places, options)
+    # What contradicts the best must live without the matches that lie anywhere near it.
+    near = np.linalg.norm(points_a - transform_points(first.T_a_b, points_b), axis=1) < 3 * options.tolerance_mm
+    second = _best(a, b, matches, use[~near[use]], options, thread_count(threads))
+    if second is not None and _alike(first.T_a_b, second.T_a_b, points_b[use], options):
+        second = None
+    return CoarseResult((first,) if second is None else (first, second), chance, places, options)
+
+
+def _best(
+    a: Keypoints, b: Keypoints, matches: Matches, use: NDArray[np.int64], options: ConsensusOptions, threads: int
+) -> Candidate | None:
+    if len(use) < 3:
+        return None
+    index_a, index_b = matches.index_a[use], matches.index_b[use]
+    points_a, points_b = a.points_sensor[index_a], b.points_sensor[index_b]
+    frames_a, frames_b = (np.ascontiguousarray(k.frames_sensor[i]) for k, i in ((a, index_a), (b, index_b)))
+    transforms, _ = _core.find_consensus(
+        points_a, points_b, frames_a, frames_b, options.tolerance_mm, options.frame_angle_rad, options.normal_angle_rad,
+        options.min_baseline_mm, options.seeds, options.partners, 5, threads,
+    )  # fmt: skip
+    best: Candidate | None = None
+    for T in transforms:
+        members = _members(T, points_a, points_b, frames_a, frames_b, options)
+        if len(members) < 3:
+            continue
+        T = fit_rigid(points_a[members], points_b[members])
+        members = _members(T, points_a, points_b, frames_a, frames_b, options)
+        places = count_places(points_a[members], options.distinct_mm)
+        if places >= 3 and (best is None or places > best.places):
+            best = Candidate(T, use[members], places)
+    return best
+
+
+def _members(
+    T: Array, points_a: Array, points_b: Array, frames_a: Array, frames_b: Array, options: ConsensusOptions
+) -> NDArray[np.int64]:
+    """Matches that agree with T in position, normal and orientation."""
+    distance = np.linalg.norm(points_a - transform_points(T, points_b), axis=1)
+    turned = T[:3, :3] @ frames_b
+    normal = np.einsum("mi,mi->m", frames_a[:, :, 2], turned[:, :, 2])
+    orientation = np.einsum("mi,mi->m", frames_a[:, :, 0], turned[:, :, 0])
+    good = (
+        (distance <= options.tolerance_mm)
+        & (normal >= np.cos(options.normal_angle_rad))
+        & (orientation >= np.cos(options.frame_angle_rad))
+    )
+    return np.flatnonzero(good)
+
+
+def count_places(points: Array, distinct_mm: float) -> int:
+    """Return how many of points (N, 3) are at least `distinct_mm` apart, chosen greedily in their order."""
+    if len(points) == 0:
+        return 0
+    neighbours = cKDTree(points).query_ball_point(points, distinct_mm)
+    taken = np.zeros(len(points), bool)
+    blocked = np.zeros(len(points), bool)
+    for i, near in enumerate(neighbours):
+        if not blocked[i]:
+            taken[i] = True
+            blocked[near] = True
+    return int(taken.sum())
+
+
+def _chance(points_a: Array, options: ConsensusOptions) -> float:
+    """Probability that a random match agrees: it leads to a place within the tolerance, and is turned alike.
+
+    The places' own clustering is counted in, and half a tolerance of freedom that the fit takes; never less than for
+    places spread over a square of their extent.
+    """
+    n = len(points_a)
+    if n < 3:
+        return 1.0
+    r = 1.5 * options.tolerance_mm
+    tree = cKDTree(points_a)
+    pairs = (tree.count_neighbors(tree, r) - n) / (n * (n - 1))
+    extent = np.ptp(points_a, axis=0)
+    area = float(np.prod(np.sort(extent)[1:])) + 1e-9
+    position = max(pairs, min(1.0, np.pi * r**2 / area))
+    return float(np.clip(position * options.frame_angle_rad / np.pi, 1e-12, 1.0))
+
+
+def _alike(T: Array, other: Array, points_b: Array, options: ConsensusOptions) -> bool:
+    shift = np.linalg.norm(transform_points(T, points_b) - transform_points(other, points_b), axis=1)
+    turn = rotation_angle(T[:3, :3].T @ other[:3, :3])
+    return bool(np.median(shift) < 5 * options.tolerance_mm and turn < 0.05)

@@ -1,0 +1,1 @@
+"""The network of all pairs: groups, adjustment, blunders."""

@@ -1,0 +1,190 @@
+"""One pair of measurements: from keypoints to a judged, refined transform with its covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planish.geometry import Array, transform_points
+from planish.measurement import Map, Measurement
+from planish.options import Options
+from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
+from planish.registration.keypoints import KeypointOptions, Keypoints, detect_keypoints
+from planish.registration.match import Matches, MatchOptions, match
+from planish.registration.refine.covariance import noise_covariance, observability
+from planish.registration.refine.overlap import overlap_extent
+from planish.registration.refine.residuals import JointSide, held_out_pixels, joint_side
+from planish.registration.refine.solve import Refined, RefineOptions, refine
+from planish.registration.result import PairResult
+from planish.registration.surface import Surface, SurfaceOptions, fit_surface
+from planish.registration.texture.charts import ChartOptions
+from planish.registration.texture.photometric import PhotometricOptions, local_contrast
+from planish.registration.texture.resample import TextureImage, texture_images
+from planish.registration.tiles import ground_sample_distance, tile_size_px
+from planish.registration.verdict import (
+    VerdictOptions,
+    judge_coarse,
+    judge_refined,
+    log10_false_alarms,
+    runner_up,
+    same_sensor,
+    standing_still,
+)
+
+
+class PairOptions(Options):
+    """Options of all stages of a pair."""
+
+    surface: SurfaceOptions = SurfaceOptions()
+    photometric: PhotometricOptions = PhotometricOptions()
+    charts: ChartOptions = ChartOptions()
+    keypoints: KeypointOptions = KeypointOptions()
+    match: MatchOptions = MatchOptions()
+    consensus: ConsensusOptions = ConsensusOptions()
+    refine: RefineOptions = RefineOptions()
+    verdict: VerdictOptions = VerdictOptions()
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What registration needs of one measurement, computed once and used in every pair."""
+
+    measurement: Measurement
+    surface: Surface
+    contrast: tuple[Map, Map]
+    images: tuple[TextureImage, ...]
+    keypoints: Keypoints
+    #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
+    sides: Mapping[float, JointSide]
+    fit_sides: Mapping[float, JointSide]
+
+
+#: Pitch of the texture images in multiples of the finest ground sample distance: the detector doubles the image, so
+#: that its finest scale is near the camera's own resolution.
+_PITCH_GSD = 1.5
+
+
+def common_pitch(measurements: list[Measurement]) -> float:
+    """Return the pitch of the texture images of a run [mm], so that keypoints of all measurements compare."""
+    pitches = [ground_sample_distance(m) for m in measurements]
+    known = [p for p in pitches if np.isfinite(p)]
+    return _PITCH_GSD * float(np.median(known)) if known else 1.0
+
+
+def prepare(
+    measurement: Measurement, pitch_mm: float, options: PairOptions | None = None, threads: int | None = None
+) -> Prepared:
+    """Return surface, texture images, keypoints and refinement maps of one measurement."""
+    options = options or PairOptions()
+    surface = fit_surface(measurement, options.surface, threads)
+    contrast = local_contrast(measurement, options.photometric)
+    images = texture_images(measurement, surface, contrast, pitch_mm, options.charts)
+    keypoints = detect_keypoints(images, options.keypoints)
+    kept = ~held_out_pixels(measurement)
+    sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
+    fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
+    return Prepared(measurement, surface, contrast, images, keypoints, sides, fit_sides)
+
+
+def register_pair(
+    a: Prepared, b: Prepared, options: PairOptions | None = None, pairs_in_run: int = 1, threads: int | None = None
+) -> PairResult:
+    """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
+    options = options or PairOptions()
+    matches = match(a.keypoints, b.keypoints, options.match, threads)
+    coarse, still_share = _moving_consensus(a, b, matches, options, threads)
+    centre_b = np.nanmean(b.surface.points_sensor[::8, ::8].reshape(-1, 3).astype(float), axis=0)
+    other = runner_up(coarse, centre_b, pairs_in_run)
+    judgement = judge_coarse(coarse, other, still_share, pairs_in_run, options.verdict)
+    best = coarse.candidates[0] if coarse.candidates else None
+    result = PairResult(
+        a=a.measurement.name,
+        b=b.measurement.name,
+        status=judgement.status,
+        reason=judgement.reason,
+        matches=len(matches),
+        consensus=best.places if best else 0,
+        log10_false_alarms=log10_false_alarms(best.places if best else 0, coarse.places, coarse.chance, pairs_in_run),
+        runner_up=other,
+        matches_px=_pixels(a, b, matches),
+        consensus_px=_pixels(a, b, matches.take(best.members)) if best else np.empty((0, 4)),
+    )
+    if best is None or judgement.status != "accepted":
+        return result
+    return _refined_result(a, b, best.T_a_b, matches.take(best.members), result, options, threads)
+
+
+def _moving_consensus(
+    a: Prepared, b: Prepared, matches: Matches, options: PairOptions, threads: int | None
+) -> tuple[CoarseResult, float]:
+    """Return the consensus and the share of it that stands still in the image.
+
+    Where the best consensus stands still (sensor pattern, background), the texture of the part may hide behind it: what
+    moves is asked alone before the pair is given up.
+    """
+    coarse = find_consensus(a.keypoints, b.keypoints, matches, options.consensus, threads)
+    if not coarse.candidates or not same_sensor(a.measurement, b.measurement):
+        return coarse, 0.0
+    still = standing_still(a.keypoints, b.keypoints, matches, options.verdict.still_px)
+    share = float(still[coarse.candidates[0].members].mean())
+    if share <= options.verdict.still_share:
+        return coarse, share
+    moving = find_consensus(a.keypoints, b.keypoints, matches, options.consensus, threads, exclude=still)
+    if moving.candidates:
+        best = moving.candidates[0]
+        alarms = log10_false_alarms(best.places, moving.places, moving.chance, 1)
+        if alarms <= options.verdict.max_log10_false_alarms:
+            return moving, 0.0
+    return coarse, share
+
+
+def _refined_result(
+    a: Prepared,
+    b: Prepared,
+    T_a_b: Array,
+    members: Matches,
+    result: PairResult,
+    options: PairOptions,
+    threads: int | None,
+) -> PairResult:
+    refined = refine_pair(a, b, T_a_b, options, threads)
+    if refined is None:
+        judgement = judge_refined(None, (), 0.0, options.verdict)
+        assert judgement is not None
+        return replace(result, status=judgement.status, reason=judgement.reason)
+    points_a = a.keypoints.points_sensor[members.index_a]
+    points_b = b.keypoints.points_sensor[members.index_b]
+    residual = points_a - transform_points(refined.T_a_b, points_b)
+    drift = float(np.sqrt((residual**2).sum(1).mean()))
+    covariance = noise_covariance(refined)
+    directions = observability(refined, covariance)
+    refuted = judge_refined(refined, directions, drift, options.verdict)
+    if refuted is not None:
+        return replace(result, status=refuted.status, reason=refuted.reason, observability=directions)
+    return replace(
+        result,
+        T_a_b=refined.T_a_b,
+        covariance_noise=covariance,
+        covariance_point_mm=refined.about,
+        observability=directions,
+        used=True,
+    )
+
+
+def refine_pair(
+    a: Prepared, b: Prepared, T_a_b: Array, options: PairOptions | None = None, threads: int | None = None
+) -> Refined | None:
+    """Return the joint refinement of a pair from a coarse transform, or None where the surfaces do not overlap."""
+    options = options or PairOptions()
+    extent = overlap_extent(a.measurement, b.measurement, T_a_b)
+    if extent is None:
+        return None
+    centre, radius = extent
+    tile = tile_size_px(b.measurement)
+    return refine(a.fit_sides, b.sides, T_a_b, centre, radius, tile, options.refine, threads)
+
+
+def _pixels(a: Prepared, b: Prepared, matches: Matches) -> Array:
+    return np.hstack([a.keypoints.pixels[matches.index_a], b.keypoints.pixels[matches.index_b]])

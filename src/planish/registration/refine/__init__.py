@@ -1,0 +1,1 @@
+"""Joint refinement of geometry and texture: residuals, solver, covariance."""

@@ -1,0 +1,167 @@
+"""The residuals of the joint refinement: surface distance along the normal, difference of the textures.
+
+Both are looked up: a point of b is moved into a, projected into a's organising camera and compared with what stands at
+that pixel. The texture is compared where the cameras saw it, so that nothing is resampled before and an error of a
+point's depth moves the look-up only by the angle between the two viewing rays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from planish import _core
+from planish.geometry import Array
+from planish.measurement import Map, Measurement
+from planish.options import thread_count
+from planish.registration.surface import Surface
+from planish.registration.tiles import held_out, tile_size_px
+
+#: Half the window of the surface fit [px]: a constant fit over n pixels has 1/n of a pixel's variance.
+_WINDOW = 7
+
+
+@dataclass(frozen=True)
+class JointSide:
+    """One measurement as the refinement sees it: its camera and `maps`, one tuple per smoothing of the texture.
+
+    Parameters
+    ----------
+    camera : ndarray (29,)
+        Kernel parameters of the organising camera.
+    smoothing_px : float
+        Standard deviation of the Gaussian on the texture [px].
+    maps : tuple
+        points (H, W, 3) [mm], normals (H, W, 3), texture (H, W), gradient (H, W, 3) [1/mm], sigma (H, W), use (H, W).
+    """
+
+    camera: Array
+    smoothing_px: float
+    maps: tuple[Map, Map, Map, Map, Map, NDArray[np.uint8]]
+
+
+def held_out_pixels(measurement: Measurement) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) of the tiles that take no part in any fit against this measurement."""
+    size = tile_size_px(measurement)
+    rows, columns = np.indices(measurement.shape) // size
+    return held_out(rows, columns)
+
+
+def joint_side(
+    measurement: Measurement,
+    surface: Surface,
+    contrast: tuple[Map, Map],
+    smoothing_px: float,
+    use: NDArray[np.bool_] | None = None,
+    threads: int | None = None,
+) -> JointSide:
+    """Return the maps of one measurement, its texture smoothed by `smoothing_px`; `use` (H, W) restricts the pixels."""
+    value, sigma = contrast
+    known = np.isfinite(value)
+    smooth = smooth_texture(value, known, smoothing_px)
+    gradient = _core.tangential_gradient(smooth, surface.tangents_sensor, thread_count(threads))
+    use = np.ones(measurement.shape, bool) if use is None else use
+    maps = (
+        surface.points_sensor,
+        surface.normals_sensor,
+        smooth,
+        gradient,
+        np.where(known, sigma, np.float32(np.nan)),
+        use.astype(np.uint8),
+    )
+    return JointSide(measurement.camera.kernel_parameters, smoothing_px, maps)
+
+
+def smooth_texture(value: Map, known: NDArray[np.bool_], sigma_px: float) -> Map:
+    """Gaussian smoothing over known pixels (normalised convolution); NaN stays NaN."""
+    blur: Callable[[Map], Map] = lambda image: cv2.GaussianBlur(  # noqa: E731
+        image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT
+    )
+    density = blur(known.astype(np.float32))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        smooth = blur(np.where(known, value, np.float32(0))) / density
+    return np.where(known, smooth, np.float32(np.nan))
+
+
+@dataclass(frozen=True)
+class Equations:
+    """Normal equations of the joint cost at one transform, xi = [rotation rad, translation mm] about a point of a.
+
+    `H_texture_unbiased` is the texture's information without what the noise of its gradients adds.
+    `tile_gradients` (tiles, 6) are the parts of the gradient from each tile of b.
+    """
+
+    H_distance: Array
+    g_distance: Array
+    H_texture: Array
+    g_texture: Array
+    H_texture_unbiased: Array
+    cost: float
+    points: int
+    texture_points: int
+    correlation: float
+    conflicts: int
+    tile_gradients: Array
+    distances: Map
+    differences: Map
+
+
+@dataclass(frozen=True)
+class Weights:
+    """Robust scales and weights of both kinds of residual (texture differences are in units of their noise)."""
+
+    scale_distance_mm: float
+    scale_texture: float
+    distance: float
+    texture: float
+
+    @classmethod
+    def from_residuals(cls, equations: Equations, smoothing_px: float) -> Weights:
+        """Robust scales from residual maps (1.4826 MAD), and from them the weight of a raw pixel's information.
+
+        Smoothed residuals of neighbours are correlated; a sum over all pixels carries the information of the raw ones.
+        Noise behind a Gaussian of s px has 1 / (4 pi s^2) of its variance, behind a plane fit 1 / window^2.
+        """
+        s_d = max(_mad(equations.distances), 1e-5)
+        s_t = max(_mad(equations.differences), 1e-6)
+        raw_texture = s_t**2 * max(1.0, 4 * np.pi * smoothing_px**2)
+        return cls(s_d, s_t, 1 / (s_d**2 * _WINDOW**2), 1 / raw_texture)
+
+
+def _mad(values: Map) -> float:
+    known = values[np.isfinite(values)]
+    return 1.4826 * float(np.median(np.abs(known - np.median(known)))) if known.size else 0.0
+
+
+def equations(
+    a: JointSide,
+    b: JointSide,
+    T_a_b: Array,
+    about: Array,
+    weights: Weights | None,
+    *,
+    max_distance_mm: float,
+    max_normal_rad: float,
+    stride: int,
+    tile_px: int,
+    residuals: bool,
+    threads: int,
+) -> Equations:
+    """Return the normal equations of b against a; `weights` None = every residual counts alike (to find the scales)."""
+    w = weights or Weights(np.inf, np.inf, 1.0, 1.0)
+    tile = max(stride, tile_px // stride * stride)
+    options = (
+        max_distance_mm, float(np.cos(max_normal_rad)), w.scale_distance_mm, w.scale_texture, w.distance, w.texture,
+        stride, tile,
+    )  # fmt: skip
+    d, t, H_unbiased, correlation, conflicts, tiles, distances, differences = _core.joint_normal_equations(
+        a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float), options, residuals, threads
+    )
+    return Equations(
+        d[0], d[1][0], t[0], t[1][0], H_unbiased, d[2] + t[2], d[3], t[3], correlation, conflicts,
+        tiles, distances, differences,
+    )  # fmt: skip

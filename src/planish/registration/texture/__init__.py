@@ -1,0 +1,1 @@
+"""The texture of a measurement: photometric compensation, charts, metric orthographic texture images."""

@@ -1,0 +1,103 @@
+"""Sections of the report: measurements, 3D view, tables, errors against truth, refused pairs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from html import escape
+
+from planish.evaluation import table
+from planish.evaluation.overlap import DEFINITION
+from planish.evaluation.prepared import Prepared
+from planish.evaluation.result import Evaluation
+from planish.registration.result import Registration
+from planish.report import text
+from planish.report.html import html_table, name_tag
+
+
+def measurements_section(registration: Registration, prepared: Mapping[str, Prepared]) -> str:
+    """Return the table of the measurements."""
+    references = {g.id: g.reference for g in registration.groups}
+    rows = []
+    for m in registration.measurements:
+        item = prepared[m.name].measurement
+        reference = references[m.group] == m.name
+        rows.append(
+            (
+                name_tag(registration, m.name),
+                str(m.group),
+                f"{int(item.valid.sum()):,}",
+                f"{prepared[m.name].gsd_mm:.3f}",
+                "reference" if reference else f"{text.position_sigma(m):.4f}",
+                "" if reference else f"{1000 * text.rotation_sigma(m):.4f}",
+            )
+        )
+    columns = (
+        ("measurement", ""), ("group", ""), ("points", ""), ("pixel", "mm"), ("sigma of place", "mm"),
+        ("sigma of rotation", "mrad"),
+    )  # fmt: skip
+    return html_table(columns, rows, raw_first=True)
+
+
+def view_section(registration: Registration) -> str:
+    """Return the table of the measurements."""
+    boxes = "".join(
+        f'<label><input type="checkbox" data-measurement="{i}">{name_tag(registration, m.name)}</label>'
+        for i, m in enumerate(registration.measurements)
+    )
+    modes = (("measurement", "measurement"), ("texture", "texture"), ("error", "overlap error"))
+    buttons = "".join(
+        f'<label><input type="radio" name="mode" value="{value}"{" checked" if i == 0 else ""}>{label}</label>'
+        for i, (value, label) in enumerate(modes)
+    )
+    note = (
+        "Overlap error: mean signed distance from the measurements it overlaps, red = nearer to the sensor than they. "
+        "Thinned grid; groups have no common frame."
+    )
+    return (
+        f'<div class="view"><div id="view3d"></div><div class="panel"><h4>Colour</h4><div>{buttons}</div>'
+        f'<h4>Measurements</h4><div>{boxes}</div><p class="definition" style="padding:0">{note}</p></div></div>'
+    )
+
+
+def overlap_section(registration: Registration) -> str:
+    """Return the 3D view with its controls; `view.js` fills it."""
+    rows = table.pair_rows(registration)
+    if not rows:
+        return "<p>No pair was accepted.</p>"
+    lines = "".join(f"<li>{escape(line)}</li>" for line in DEFINITION)
+    return html_table(table.PAIR_COLUMNS, rows) + f'<ul class="definition">{lines}</ul>'
+
+
+def truth_section(evaluation: Evaluation) -> str:
+    """Return the table of the starting paper with its definition."""
+    findings = "".join(
+        f'<p class="{"bad" if f.startswith("WRONG") else "warn"}">{escape(f)}</p>' for f in evaluation.findings
+    )
+    return (
+        "<h2>Errors against truth</h2>"
+        + (findings or "<p>Nothing wrong, nothing missing.</p>")
+        + '<div class="columns">'
+        + html_table(table.TRUTH_PAIR_COLUMNS, table.truth_pair_rows(evaluation))
+        + html_table(table.TRUTH_MEASUREMENT_COLUMNS, table.truth_measurement_rows(evaluation))
+        + "</div>"
+    )
+
+
+def refused_section(registration: Registration) -> str:
+    """Return the errors against truth."""
+    rows = [
+        (f"{p.a}, {p.b}", p.reason, str(p.matches), str(p.consensus))
+        for p in registration.pairs
+        if p.status == "refused"
+    ]
+    if not rows:
+        return ""
+    columns = (("pair", ""), ("reason", ""), ("matches", ""), ("consensus", ""))
+    return "<h2>Refused pairs</h2>" + html_table(columns, rows, "text")
+
+
+def details(title: str, content: Mapping[str, object]) -> str:
+    """Return a folded block of JSON."""
+    """Return the refused pairs with their reasons."""
+    return f"<details><summary>{title}</summary><pre>{escape(json.dumps(content, indent=2))}</pre></details>"
