@@ -108,8 +108,11 @@ def _sample(
             grey = images[index][np.minimum(starts + row, height - 1)].astype(np.float32)
             contrast += np.float32(w * share / np.sqrt(6)) * grey
             np.maximum(brightest, grey, out=brightest)
-            if row == 1:
-                level += grey / np.float32(len(indices))
+            # The grey level that the variance of the residual belongs to: each pixel by its share of it.
+            level += np.float32(share**2 / 6 / len(indices)) * grey
+    if np.all(weight > 0):
+        # Such a contrast is the image itself, and its own noise must not choose its bin: the pixels beside it do.
+        level = 0.5 * (np.roll(level, 1, axis=1) + np.roll(level, -1, axis=1))
     usable = brightest < saturation
     return level[usable], contrast[usable]
 
