@@ -65,9 +65,7 @@ def _certainty(registration: Registration) -> str:
     if max(sigmas, default=0.0) == 0.0:
         return ""
     calibrated = any(m.covariance_calibration is not None for m in registration.measurements)
-    source = (
-        "from noise and calibration" if calibrated else "from noise alone: the rig states no covariance"
-    )
+    source = "from noise and calibration" if calibrated else "from noise alone: the rig states no covariance"
     return f"A measurement's place has a standard deviation of up to {max(sigmas):.4f} mm ({source})."
 
 
