@@ -85,6 +85,20 @@ def test_the_commands_of_the_readme_are_targets_of_make_and_ci_runs_its_test_com
     assert "make test" in (ROOT / ".ci" / "run").read_text().splitlines()
 
 
+def test_the_objects_and_modules_of_the_architecture_exist():
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    package = ROOT / "src" / "planish"
+    sources = "\n".join(path.read_text(encoding="utf-8") for path in package.rglob("*.py"))
+    rows = re.findall(r"^\| (`[A-Z]\w+`(?:, `[A-Z]\w+`)*) \|", text, re.MULTILINE)
+    objects = [name for row in rows for name in re.findall(r"\w+", row)]
+    assert len(objects) > 10
+    assert [name for name in objects if f"class {name}:" not in sources and f"class {name}(" not in sources] == []
+    modules = re.findall(r"`([a-z_/]+/[a-z_]*\.py|[a-z_]+\.py|[a-z_/]+/)`", text)
+    places = (package, ROOT)
+    missing = [name for name in modules if not any((place / name).exists() for place in places)]
+    assert [name for name in missing if not name.startswith("tests/")] == []
+
+
 def test_the_python_of_the_readme_uses_public_names():
     pytest.importorskip("planish.pipeline")
     (code,) = re.findall(r"```python\n(.*?)```", README, re.DOTALL)

@@ -2,132 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <numbers>
 
 #include "core/counter_noise.hpp"
 #include "core/parallel.hpp"
+#include "core/tracer.hpp"
 
 namespace planish {
 
 namespace {
-
-constexpr int kBackgroundPatch = 1000;
-/// Where second differences between neighbouring pixels exceed this, rays are traced per sample instead of expanded:
-/// the third-order remainder is then far below 1e-3 of a projector pixel (u, v) or a micrometre (s, t).
-constexpr double kSmoothPx = 0.01, kSmoothMm = 0.01, kSmoothRadiance = 0.01;
-
-/// What the camera meets along one ray.
-struct Sample {
-    double s = 0, t = 0, u = 0, v = 0;  ///< surface coordinates [mm], projector coordinates [px]
-    float diffuse = 0, specular = 0, ambient_diffuse = 0, ambient_specular = 0;
-    short patch = -1;
-    bool lit = false;
-};
-
-class Tracer {
-  public:
-    explicit Tracer(const RenderScene& scene)
-        : scene_(scene), eye_(scene.camera.center_sensor()), source_(scene.projector.center_sensor()) {}
-
-    [[nodiscard]] Hit hit(const Eigen::Vector2d& pixel, double& hint) const {
-        const Ray ray{eye_, scene_.camera.ray_sensor(pixel)};
-        Hit hit = scene_.surface.intersect(ray, hint);
-        if (hit.patch >= 0) {
-            hint = hit.distance;
-        } else if (scene_.background) {
-            const auto& plane = *scene_.background;
-            const double distance = plane.normal.dot(plane.origin - ray.origin) / plane.normal.dot(ray.direction);
-            const Eigen::Vector3d offset = ray.at(distance) - plane.origin;
-            if (distance > 0) {
-                hit = {
-                    distance,        ray.at(distance), plane.normal, offset.dot(plane.axis_x), offset.dot(plane.axis_y),
-                    kBackgroundPatch};
-            }
-        }
-        return hit;
-    }
-
-    [[nodiscard]] Sample sample(const Eigen::Vector2d& pixel, double& hint) const {
-        Sample out;
-        const Hit found = hit(pixel, hint);
-        if (found.patch < 0) return out;
-        const bool on_part = found.patch != kBackgroundPatch;
-        Radiance r = illuminate(scene_.surface, on_part, found, eye_, source_, scene_.light);
-        if (!on_part && r.lit) {
-            // The part throws its shadow on the background.
-            const Ray ray{source_, found.point - source_};
-            const Hit blocker = scene_.surface.intersect(ray, 1.0);
-            if (blocker.patch >= 0 && blocker.distance < 1) r.lit = false, r.diffuse = r.specular = 0;
-        }
-        const Eigen::Vector3d in_projector = scene_.projector.to_camera(found.point);
-        Eigen::Vector2d at(-1e6, -1e6);
-        if (in_projector.z() > 0) at = scene_.projector.project(found.point);
-        return {found.s,
-                found.t,
-                at.x(),
-                at.y(),
-                static_cast<float>(r.diffuse),
-                static_cast<float>(r.specular),
-                static_cast<float>(r.ambient_diffuse),
-                static_cast<float>(r.ambient_specular),
-                static_cast<short>(found.patch),
-                r.lit};
-    }
-
-    [[nodiscard]] const Eigen::Vector3d& source() const { return source_; }
-
-  private:
-    const RenderScene& scene_;
-    Eigen::Vector3d eye_, source_;
-};
-
-/// Second-order expansion of the samples around one pixel; empty where the neighbourhood is not smooth.
-class Expansion {
-  public:
-    Expansion(const Sample* above, const Sample* here, const Sample* below) : here_(here) {
-        smooth_ = true;
-        for (const Sample* row : {above, here, below})
-            for (int i = -1; i <= 1; ++i) smooth_ &= row[i].patch == here->patch && row[i].lit == here->lit;
-        if (!smooth_ || here->patch < 0) return;
-        const auto fit = [&](int slot, auto member, double tolerance) {
-            const auto at = [&](const Sample* row, int i) { return static_cast<double>(row[i].*member); };
-            double* c = coefficient_[slot];
-            c[0] = at(here, 0);
-            c[1] = 0.5 * (at(here, 1) - at(here, -1));
-            c[2] = 0.5 * (at(below, 0) - at(above, 0));
-            c[3] = at(here, 1) - 2 * c[0] + at(here, -1);
-            c[4] = at(below, 0) - 2 * c[0] + at(above, 0);
-            c[5] = 0.25 * (at(below, 1) - at(below, -1) - at(above, 1) + at(above, -1));
-            smooth_ &= std::abs(c[3]) < tolerance && std::abs(c[4]) < tolerance && std::abs(c[5]) < tolerance;
-        };
-        fit(0, &Sample::s, kSmoothMm);
-        fit(1, &Sample::t, kSmoothMm);
-        fit(2, &Sample::u, kSmoothPx);
-        fit(3, &Sample::v, kSmoothPx);
-        fit(4, &Sample::diffuse, kSmoothRadiance);
-        fit(5, &Sample::specular, kSmoothRadiance);
-        fit(6, &Sample::ambient_diffuse, kSmoothRadiance);
-        fit(7, &Sample::ambient_specular, kSmoothRadiance);
-    }
-
-    [[nodiscard]] bool smooth() const { return smooth_; }
-
-    [[nodiscard]] Sample at(double x, double y) const {
-        const auto value = [&](int slot) {
-            const double* c = coefficient_[slot];
-            return c[0] + c[1] * x + c[2] * y + 0.5 * (c[3] * x * x + c[4] * y * y) + c[5] * x * y;
-        };
-        const auto light = [&](int slot) { return static_cast<float>(std::max(0.0, value(slot))); };
-        return {value(0), value(1), value(2), value(3),     light(4),
-                light(5), light(6), light(7), here_->patch, here_->lit};
-    }
-
-  private:
-    const Sample* here_;
-    bool smooth_;
-    double coefficient_[8][6];
-};
 
 float bilinear(const Image<const float>& map, double u, double v) {
     if (!(u > -1 && v > -1 && u < map.width && v < map.height)) return 0;
@@ -206,15 +89,15 @@ class RowShader {
     std::vector<Sample>& line(int row) { return lines_[(row + 3 * pad_ + 3) % 3]; }
 
     void trace_line(int row) {
-        double hint = -1;  // restarted in every row, so that nothing depends on the blocks of the threads
+        RowHint hint;
         std::vector<Sample>& out = line(row);
         for (int i = 0; i < rows.width + 2; ++i) out[i] = tracer_.sample(Eigen::Vector2d(i - pad_ - 1, row), hint);
     }
 
     void shade(const Expansion& around, int column) {
         const int n = rows.scale;
-        double hint = -1;
         for (int j = 0; j < n; ++j) {
+            RowHint hint;
             for (int i = 0; i < n; ++i) {
                 const double dx = (i + 0.5) / n - 0.5, dy = (j + 0.5) / n - 0.5;
                 const Sample s = around.smooth()
@@ -225,18 +108,21 @@ class RowShader {
         }
     }
 
-    void store(const Sample& s, std::size_t at) {
-        const bool on_part = s.patch != kBackgroundPatch;
+    void store(const Sample& sample, std::size_t at) {
+        const bool on_part = sample.patch != kBackgroundPatch;
         const SurfaceTexture& texture = on_part ? scene_.texture : scene_.background->texture;
-        const auto albedo = static_cast<float>(texture.albedo(s.s, s.t, on_part ? on_part_ : on_background_));
-        float gain = bilinear(patterns_.gain, s.u, s.v);
+        const auto light = [&](Sample::Slot slot) { return static_cast<float>(sample.value[slot]); };
+        const double u = sample.value[Sample::u], v = sample.value[Sample::v];
+        const auto albedo = static_cast<float>(
+            texture.albedo(sample.value[Sample::s], sample.value[Sample::t], on_part ? on_part_ : on_background_));
+        float gain = bilinear(patterns_.gain, u, v);
         // First harmonic of the dark lines between projector pixels; the lens passes no more.
         const auto depth = static_cast<float>(0.5 * patterns_.grid_depth);
-        if (depth > 0) gain *= 1 + depth * (cosine_(s.u) + cosine_(s.v));
-        rows.projected[at] = (albedo * s.diffuse + s.specular) * gain;
-        rows.constant[at] = albedo * s.ambient_diffuse + s.ambient_specular;
-        rows.u[at] = static_cast<float>(s.u);
-        rows.v[at] = static_cast<float>(s.v);
+        if (depth > 0) gain *= 1 + depth * (cosine_(u) + cosine_(v));
+        rows.projected[at] = (albedo * light(Sample::diffuse) + light(Sample::specular)) * gain;
+        rows.constant[at] = albedo * light(Sample::ambient_diffuse) + light(Sample::ambient_specular);
+        rows.u[at] = static_cast<float>(u);
+        rows.v[at] = static_cast<float>(v);
     }
 
     const RenderScene& scene_;
@@ -317,19 +203,16 @@ class ImageFilter {
         for (int k = 0; k < patterns_.profiles.height; ++k) {
             project(patterns_.along_v[k] ? along_v_ : along_u_, patterns_.profiles.row(k), &rows.projected[at],
                     &rows.constant[at], count);
-            float* target = ring_row(k, sample_row);
-            std::fill_n(target, width_, 0.f);
-            for (int tap = 0; tap < taps_; ++tap) {
-                const std::size_t plane = tap % rows.scale, offset = tap / rows.scale;
-                accumulate(kernel_[tap], &line_[plane * rows.width + offset], target);
-            }
+            const auto source = [&](int tap) {
+                return &line_[static_cast<std::size_t>(tap % rows.scale) * rows.width + tap / rows.scale];
+            };
+            weighted_sum(source, ring_row(k, sample_row));
         }
     }
 
     /// Adds up the filtered rows from `sample_row` on into one pixel row of image k.
     void column_sum(int k, int sample_row, std::vector<float>& sum) {
-        std::fill(sum.begin(), sum.end(), 0.f);
-        for (int tap = 0; tap < taps_; ++tap) accumulate(kernel_[tap], ring_row(k, sample_row + tap), sum.data());
+        weighted_sum([&](int tap) { return ring_row(k, sample_row + tap); }, sum.data());
     }
 
     [[nodiscard]] int taps() const { return taps_; }
@@ -346,8 +229,23 @@ class ImageFilter {
         }
     }
 
-    void accumulate(float weight, const float* source, float* target) const {
-        for (int u = 0; u < width_; ++u) target[u] += weight * source[u];
+    /// target[u] = sum over taps of weight * source(tap)[u], in blocks that stay in registers.
+    template <class Source>
+    void weighted_sum(const Source& source, float* target) const {
+        constexpr int kBlock = 32;
+        int u = 0;
+        for (; u + kBlock <= width_; u += kBlock) {
+            Eigen::Array<float, kBlock, 1> sum = Eigen::Array<float, kBlock, 1>::Zero();
+            for (int tap = 0; tap < taps_; ++tap) {
+                sum += kernel_[tap] * Eigen::Array<float, kBlock, 1>::Map(source(tap) + u);
+            }
+            Eigen::Array<float, kBlock, 1>::Map(target + u) = sum;
+        }
+        for (; u < width_; ++u) {
+            float sum = 0;
+            for (int tap = 0; tap < taps_; ++tap) sum += kernel_[tap] * source(tap)[u];
+            target[u] = sum;
+        }
     }
 
     float* ring_row(int image, int sample_row) {
@@ -397,25 +295,5 @@ template void render_images<std::uint8_t>(const RenderScene&, const ProjectedPat
                                           std::span<const Image<std::uint8_t>>, int);
 template void render_images<std::uint16_t>(const RenderScene&, const ProjectedPatterns&, const SensorResponse&,
                                            std::span<const Image<std::uint16_t>>, int);
-
-void trace_image(const RenderScene& scene, const std::optional<Eigen::Vector3d>& other_center, Image<double> points,
-                 Image<std::uint8_t> lit, int threads) {
-    const Tracer tracer(scene);
-    parallel_for(points.height, threads, [&](std::size_t first, std::size_t last) {
-        for (int v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
-            double hint = -1;
-            for (int u = 0; u < points.width; ++u) {
-                const Hit hit = tracer.hit({u, v}, hint);
-                const bool on_part = hit.patch >= 0 && hit.patch != kBackgroundPatch;
-                double* point = points.at(v, u);
-                for (int i = 0; i < 3; ++i) {
-                    point[i] = on_part ? hit.point[i] : std::numeric_limits<double>::quiet_NaN();
-                }
-                *lit.at(v, u) = on_part && !scene.surface.occluded(hit, tracer.source()) &&
-                                (!other_center || !scene.surface.occluded(hit, *other_center));
-            }
-        }
-    });
-}
 
 }  // namespace planish

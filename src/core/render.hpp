@@ -1,33 +1,12 @@
 #pragma once
 
-#include <Eigen/Core>
 #include <cstdint>
-#include <optional>
 #include <span>
-#include <vector>
 
-#include "core/camera.hpp"
-#include "core/illumination.hpp"
 #include "core/image.hpp"
-#include "core/scene_surface.hpp"
-#include "core/surface_texture.hpp"
+#include "core/tracer.hpp"
 
 namespace planish {
-
-/// A textured plane behind the part that does not move with it; vectors in the object frame.
-struct BackgroundPlane {
-    Eigen::Vector3d origin, axis_x, axis_y, normal;
-    SurfaceTexture texture;
-};
-
-/// A part in front of one camera and the projector. Their `sensor` frame is the object frame here.
-struct RenderScene {
-    Camera camera, projector;
-    Surface surface;
-    SurfaceTexture texture;
-    Illumination light;
-    std::optional<BackgroundPlane> background;
-};
 
 /// What the projector shows: per image a profile along one axis, sampled `samples_per_px` times per projector pixel
 /// from coordinate `first` on, times a map that all images share (window, dust, vignetting).
@@ -55,10 +34,5 @@ struct SensorResponse {
 template <class Pixel>
 void render_images(const RenderScene& scene, const ProjectedPatterns& patterns, const SensorResponse& sensor,
                    std::span<const Image<Pixel>> out, int threads);
-
-/// Points (object frame, NaN where none) at the pixel centres; `lit` = 1 where the projector reaches the point and
-/// `other_center`, the second camera, sees it as far as the surface itself is concerned.
-void trace_image(const RenderScene& scene, const std::optional<Eigen::Vector3d>& other_center, Image<double> points,
-                 Image<std::uint8_t> lit, int threads);
 
 }  // namespace planish

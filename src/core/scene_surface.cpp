@@ -8,8 +8,8 @@ namespace planish {
 
 namespace {
 
-/// Newton stops when its step is shorter than this [mm of ray]: the next error is of the order of its square.
-constexpr double kNewtonStep = 1e-8;
+/// Newton stops after a step shorter than this [mm]: the error left is its square times half the curvature (<= 1 / mm).
+constexpr double kNewtonStep = 1e-5;
 /// A root of the height equation must be met to this [mm]; a bracket without a root fails it by far.
 constexpr double kResidual = 1e-9;
 /// Shortest march step [mm]: nothing thinner occurs.
@@ -103,6 +103,7 @@ Hit Surface::intersect_height(const Ray& ray, double hint) const {
         const Eigen::Vector3d p = ray.at(distance);
         return p.z() - height(p.x(), p.y(), sx, sy);
     };
+    const double length = ray.direction.norm();
     const double down = -ray.direction.z(), across = ray.direction.head<2>().norm();
     const double bound = slope_bound(ray.at(near), ray.at(far));
     if (bound * across >= down) {
@@ -110,7 +111,7 @@ Hit Surface::intersect_height(const Ray& ray, double hint) const {
         double previous = near;
         for (double value = above(near); value >= 0 && near < far; value = above(near)) {
             previous = near;
-            near += std::max(value / (down + bound * across), kMarchStep / ray.direction.norm());
+            near += std::max(value / (down + bound * across), kMarchStep / length);
         }
         far = std::min(near, far);
         near = previous;
@@ -120,10 +121,11 @@ Hit Surface::intersect_height(const Ray& ray, double hint) const {
         const double value = above(distance);
         (value >= 0 ? near : far) = distance;
         double next = distance - value / (ray.direction.z() - sx * ray.direction.x() - sy * ray.direction.y());
-        if (!(next >= near && next <= far)) next = 0.5 * (near + far);
-        const double step = std::abs(next - distance);
+        const bool newton = next >= near && next <= far;
+        if (!newton) next = 0.5 * (near + far);
+        const double step = std::abs(next - distance) * length;
         distance = next;
-        if (step < kNewtonStep) break;
+        if ((newton && step < kNewtonStep) || step < kResidual) break;
     }
     if (std::abs(above(distance)) > kResidual) return {};
     const Eigen::Vector3d p = ray.at(distance);

@@ -74,6 +74,7 @@ SurfaceTexture::SurfaceTexture(double albedo, std::vector<GrainScale> grain, std
         const double c = std::cos(scale.angle), s = std::sin(scale.angle);
         frames_.push_back({c / scale.along_mm, s / scale.along_mm, -s / scale.across_mm, c / scale.across_mm});
     }
+    for (const auto& mark : marks_) mark_axes_.emplace_back(std::cos(mark.angle), std::sin(mark.angle));
     index_marks(half_s, half_t);
 }
 
@@ -117,8 +118,9 @@ void SurfaceTexture::index_marks(double half_s, double half_t) {
     for (std::size_t i = 1; i < bin_begin_.size(); ++i) bin_begin_[i] += bin_begin_[i - 1];
 }
 
-double SurfaceTexture::profile(const Mark& mark, double s, double t) const {
-    const double c = std::cos(mark.angle), d = std::sin(mark.angle), ds = s - mark.s, dt = t - mark.t;
+double SurfaceTexture::profile(int index, double s, double t) const {
+    const Mark& mark = marks_[index];
+    const double c = mark_axes_[index].x(), d = mark_axes_[index].y(), ds = s - mark.s, dt = t - mark.t;
     const double x = c * ds + d * dt, y = -d * ds + c * dt;
     if (mark.kind == Mark::Kind::scratch) {
         const double e = x / mark.half_length, q = (y - mark.curvature * x * x) / mark.half_width;
@@ -149,8 +151,7 @@ double SurfaceTexture::albedo(double s, double t, Cursor& cursor) const {
         if (i >= 0 && i < bins_s_ && j >= 0 && j < bins_t_) {
             const std::size_t bin = static_cast<std::size_t>(j) * bins_s_ + i;
             for (int k = bin_begin_[bin]; k < bin_begin_[bin + 1]; ++k) {
-                const Mark& mark = marks_[bin_marks_[k]];
-                factor *= 1 + mark.contrast * profile(mark, s, t);
+                factor *= 1 + marks_[bin_marks_[k]].contrast * profile(bin_marks_[k], s, t);
             }
         }
     }

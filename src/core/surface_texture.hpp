@@ -57,13 +57,14 @@ class SurfaceTexture {
         double along_s, along_t, across_s, across_t;  ///< rows of the map from (s, t) to the lattice
     };
 
-    [[nodiscard]] double profile(const Mark& mark, double s, double t) const;
+    [[nodiscard]] double profile(int mark, double s, double t) const;
     void index_marks(double half_s, double half_t);
 
     double albedo_;
     std::vector<GrainScale> grain_;
     std::vector<Frame> frames_;
     std::vector<Mark> marks_;
+    std::vector<Eigen::Vector2d> mark_axes_;  ///< unit vectors along the marks
     // Marks per square bin of the surface: those of bin i stand in bin_marks_[bin_begin_[i] .. bin_begin_[i + 1]).
     double origin_s_ = 0, origin_t_ = 0;
     int bins_s_ = 0, bins_t_ = 0;

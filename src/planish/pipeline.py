@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from itertools import combinations
 from typing import Literal, TypeVar
 
@@ -12,7 +13,6 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from planish import __version__
 from planish.errors import InputError
 from planish.evaluation import prepared as evaluation
 from planish.evaluation.overlap import OverlapEvaluation, evaluate_overlap
@@ -125,21 +125,18 @@ def register(
     options: RegisterOptions | None = None,
     *,
     reference: str | None = None,
-    files: Mapping[str, tuple[str, str]] | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
-) -> RegisteredRun:
+) -> Registration:
     """Register measurements by their texture: no start value, no neighbour hints, any order.
 
     Parameters
     ----------
     measurements : sequence of Measurement
-        With different names; the order does not matter.
+        With different names; their order does not matter.
     options : RegisterOptions, optional
     reference : str, optional
         Measurement whose frame becomes the world of its group; default the most central one.
-    files : mapping, optional
-        Per name the file name and its SHA-256, to be kept in the result.
     threads : int, optional
         Default: all processors. The result does not depend on it.
     progress : callable, optional
@@ -147,13 +144,29 @@ def register(
 
     Returns
     -------
-    RegisteredRun
-        `registration` holds transforms, covariances, verdicts and groups.
+    Registration
+        Transforms with covariances, verdicts and groups. "Cannot be registered" is a result, never an exception.
 
     Raises
     ------
     InputError
         Where there is no measurement, a name stands twice, or `reference` is none of them.
+    """
+    return register_run(measurements, options, reference=reference, threads=threads, progress=progress).registration
+
+
+def register_run(
+    measurements: Sequence[Measurement],
+    options: RegisterOptions | None = None,
+    *,
+    reference: str | None = None,
+    files: Mapping[str, tuple[str, str]] | None = None,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> RegisteredRun:
+    """Do what `register` does and keep what reports and clouds are made of.
+
+    `files` gives per name the file name and SHA-256 to be kept in the result; the rest is as in `register`.
     """
     options, count, say = options or RegisterOptions(), thread_count(threads), progress or (lambda *_: None)
     ordered = _checked(measurements, reference)
@@ -171,7 +184,7 @@ def register(
 
 def versions() -> dict[str, str]:
     """Return the versions that a result depends on."""
-    return {"planish": __version__, "numpy": np.__version__, "opencv": cv2.__version__}
+    return {"planish": version("planish"), "numpy": np.__version__, "opencv": cv2.__version__}
 
 
 def _checked(measurements: Sequence[Measurement], reference: str | None) -> list[Measurement]:

@@ -7,6 +7,7 @@ fringes, so the second difference between three neighbouring pixels of a column 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -105,7 +106,7 @@ def _fit(level: Array, residual: Array) -> NoiseModel:
     order = np.argsort(which, kind="stable")
     bounds = np.searchsorted(which[order], np.arange(LEVELS + 1))
     x, y, n = [], [], []
-    for begin, end in zip(bounds[:-1], bounds[1:], strict=True):
+    for begin, end in itertools.pairwise(bounds):
         if end - begin >= MIN_SAMPLES:
             members = order[begin:end]
             x.append(level[members].mean())

@@ -84,7 +84,8 @@ def reject_points(
     _mark(rejected, ~valid & (rejected == 0), "unmatched")
     if volume is not None:
         with np.errstate(invalid="ignore"):
-            inside = ((points >= np.float32(volume.min)) & (points <= np.float32(volume.max))).all(-1)
+            low, high = np.array(volume.min, np.float32), np.array(volume.max, np.float32)
+            inside = ((points >= low) & (points <= high)).all(-1)
         _mark(rejected, valid & ~inside, "masked")
     _mark(rejected, np.abs(found.miss_px) > options.max_miss_px, "mismatch")
     if projector is not None:

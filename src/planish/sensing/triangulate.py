@@ -44,8 +44,8 @@ def triangulate(pairs: Correspondences, own: Camera, other: Camera, threads: int
     Notes
     -----
     The pixel of the organising camera is exact by definition (it is where the measurement is taken), so all error lies
-    in the corresponding pixel: the point stays on the own ray, x(s) = t + s q in the other camera's frame, at the s that
-    minimises |b x x(s)|, b the other ray. sigma_mm = sigma_px |q| / (motion of the image per s).
+    in the corresponding pixel: the point stays on the own ray, x(s) = t + s q in the other camera's frame, at the s
+    that minimises |b x x(s)|, b the other ray. sigma_mm = sigma_px |q| / (motion of the image per s).
     """
     return TriangulatedPoints(
         *_core.triangulate(

@@ -70,8 +70,8 @@ def trace_capture(scene: Scene, index: int, camera: str, threads: int | None = N
     if other is not None:
         values["other_center"] = transform_points(T, scene.rig.cameras[other].center_sensor)
     _core.trace_image(values, points, lit, thread_count(threads))
-    points_sensor = transform_points(invert(T), points)
-    seen = lit.astype(bool)
+    points_sensor = np.asarray(transform_points(invert(T), points), float)
+    seen = lit.astype(np.bool_)
     assert scene.rig.projector is not None
     for device in (scene.rig.projector, *([] if other is None else [scene.rig.cameras[other]])):
         seen[seen] &= _inside(device, points_sensor[seen])

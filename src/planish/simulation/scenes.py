@@ -22,7 +22,7 @@ from planish.simulation.texture import BLANK, Grain, Marks, Texture
 class Background:
     """A textured plane z = `z_mm` of the sensor frame: it moves with the sensor, not with the part."""
 
-    z_mm: float = -60.0
+    z_mm: float = -220.0
     texture: Texture = Texture(
         albedo=0.3, grain=Grain(0.08, 6.0, 3.0), scratches=None, specks=Marks(4.0, 0.4, (1.0, 6.0), (1.0, 6.0), 0.4)
     )

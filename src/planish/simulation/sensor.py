@@ -21,8 +21,9 @@ from planish.rig import Camera, Rig
 from planish.sensing.capture import Entry
 from planish.sensing.patterns import axis_of, projector_profile
 
+_CameraRow = tuple[tuple[float, ...], tuple[float, ...], float, tuple[float, float], tuple[float, float]]
 #: position [mm], rotation [rad], principal distance [px], principal point [px] (paper); k1, k2 (ours).
-PAPER_CAMERAS: dict[str, tuple[tuple[float, ...], tuple[float, ...], float, tuple[float, float], tuple[float, float]]] = {
+PAPER_CAMERAS: dict[str, _CameraRow] = {
     "A": ((266.4, 56.7, 829.2), (-0.079, 0.311, 0.054), 2725.8, (695.7, 494.1), (-0.121, 0.093)),
     "B": ((-271.3, 57.0, 832.6), (-0.077, -0.320, -0.053), 2721.0, (678.6, 503.7), (-0.117, 0.086)),
 }  # fmt: skip
@@ -120,7 +121,7 @@ def _reference_projector() -> Camera:
     x /= np.linalg.norm(x)
     R_sensor_projector = np.column_stack([x, np.cross(z, x), z])
     center = ((PROJECTOR_PX[0] - 1) / 2, (PROJECTOR_PX[1] - 1) / 2)
-    K = [[PROJECTOR_DISTANCE_PX, 0, center[0]], [0, PROJECTOR_DISTANCE_PX, center[1]], [0, 0, 1]]
+    K = np.array([[PROJECTOR_DISTANCE_PX, 0, center[0]], [0, PROJECTOR_DISTANCE_PX, center[1]], [0, 0, 1]])
     T = invert(compose(R_sensor_projector, position))
     return Camera.make(K, (*PROJECTOR_DISTORTION, 0, 0), PROJECTOR_PX, T, "projector")
 

@@ -137,7 +137,7 @@ def _place_marks(kind: str, marks: Marks | None, half_s: float, half_t: float, r
     n = int(rng.poisson(marks.density_per_dm2 * 4 * half_s * half_t / 1e4))
 
     def sizes(span: tuple[float, float]) -> Array:
-        return np.exp(rng.uniform(*np.log(span), n))
+        return np.exp(rng.uniform(np.log(span[0]), np.log(span[1]), n))
 
     s, t = rng.uniform(-half_s, half_s, n), rng.uniform(-half_t, half_t, n)
     angle, length, width = rng.uniform(0, 2 * np.pi, n), sizes(marks.length_mm), sizes(marks.width_mm)
