@@ -154,7 +154,7 @@ def _tile_frames(
     v = (tiles[:, :1] * a.tile_size_px + offsets).astype(int)[:, :, None]
     u = (tiles[:, 1:] * a.tile_size_px + offsets).astype(int)[:, None, :]
     smooth = (a.surface.points_sensor[v, u], a.surface.tangents_sensor[v, u], distance_of_a[v, u][..., None])
-    samples = np.concatenate(smooth, -1).reshape(len(tiles), -1, 10)
+    samples = np.concatenate(smooth, -1).reshape(len(tiles), TILE_SAMPLES**2, 10)
     known = np.isfinite(samples).all(-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(known[..., None], samples, 0).sum(1, dtype=float) / known.sum(1)[:, None]

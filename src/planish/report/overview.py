@@ -175,12 +175,15 @@ def _by_texture(layers: Sequence[Layer]) -> Picture:
 
 
 def _by_error(layers: Sequence[Layer], limit: float) -> Picture:
-    pictures = []
-    for layer in layers:
-        tone = diverging_map(Normalize(-limit, limit)(np.nan_to_num(layer.error_mm)))[..., :3]
-        tone = np.where(np.isfinite(layer.error_mm)[..., None], tone, rgb(NEUTRAL))
-        pictures.append(np.where(np.isfinite(layer.shade)[..., None], tone * (0.55 + 0.45 * _light(layer)), np.nan))
-    return _mean(layers, pictures)
+    """Later measurements on top: in an overlap the two see the same distance with opposite signs, a mean hides it."""
+    picture = np.ones((*layers[0].shade.shape, 3))
+    for with_error in (False, True):
+        for layer in layers:
+            tone = diverging_map(Normalize(-limit, limit)(np.nan_to_num(layer.error_mm)))[..., :3]
+            shaded = (tone if with_error else rgb(NEUTRAL)) * (0.55 + 0.45 * _light(layer))
+            seen = np.isfinite(layer.shade) & (np.isfinite(layer.error_mm) | (not with_error))
+            picture[seen] = shaded[seen].clip(0, 1)
+    return picture
 
 
 def _footprint(layer: Layer) -> NDArray[np.uint8]:
