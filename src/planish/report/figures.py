@@ -63,7 +63,7 @@ def matches_png(pair: PairResult, a: Prepared, b: Prepared) -> bytes:
     canvas = _draw(canvas, pair.consensus_px, scales, CONSENSUS, 0.8)
     buffer = io.BytesIO()
     few = Image.fromarray(canvas).quantize(PALETTE_COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    few.save(buffer, format="png", optimize=True)
+    few.save(buffer, format="png", compress_level=6)
     return buffer.getvalue()
 
 

@@ -35,11 +35,10 @@ def _pair(registration: Registration, pair: PairResult, pictures: Mapping[str, b
     ]
     matches = pictures.get(figure_name("matches", pair))
     if matches is not None:
-        caption = (
-            f"Texture of {pair.a} (left) and {pair.b} (right); orange: consensus, blue: other matches "
-            "(at most 150 of each)."
-        )
-        parts.append(figure(matches, caption))
+        caption = f"Texture of {pair.a} (left) and {pair.b} (right)"
+        if len(pair.matches_px):
+            caption += "; orange: consensus, blue: other matches, at most 150 of each"
+        parts.append(figure(matches, caption + "."))
     parts.append('<div class="columns">')
     histogram = pictures.get(figure_name("histogram", pair))
     if histogram is not None:
