@@ -20,6 +20,7 @@
 #include "core/image.hpp"
 #include "core/islands.hpp"
 #include "core/phase_edges.hpp"
+#include "core/repair_periods.hpp"
 #include "core/triangulate.hpp"
 #include "core/undistortion.hpp"
 
@@ -156,6 +157,22 @@ Out<float> undistortion_shifts(const In<double>& camera, int height, int width, 
     return shifts;
 }
 
+nb::tuple repair_periods(const In<float>& position, const In<float>& sigma, const In<std::uint16_t>& rejected,
+                         float period_px, float tolerance_px, float sigmas, int threads) {
+    const std::size_t h = position.shape(0), w = position.shape(1);
+    auto new_position = make_array<float>({h, w}), new_sigma = make_array<float>({h, w});
+    auto new_rejected = make_array<std::uint16_t>({h, w});
+    const auto p = view(position), s = view(sigma);
+    const auto r = view(rejected);
+    const auto np = view(new_position), ns = view(new_sigma);
+    const auto nr = view(new_rejected);
+    {
+        nb::gil_scoped_release release;
+        planish::repair_periods(p, s, r, period_px, tolerance_px, sigmas, threads, np, ns, nr);
+    }
+    return nb::make_tuple(new_position, new_sigma, new_rejected);
+}
+
 Out<std::uint8_t> phase_edges(const In<float>& position, const In<float>& sigma, float jump_px, float sigmas,
                               int threads) {
     auto edge = make_array<std::uint8_t>({position.shape(0), position.shape(1)});
@@ -228,6 +245,7 @@ void bind_sensing(nb::module_& m) {
     m.def("decode_phase", &decode_phase);
     m.def("decode_gray", &decode_gray);
     m.def("undistortion_shifts", &undistortion_shifts);
+    m.def("repair_periods", &repair_periods);
     m.def("phase_edges", &phase_edges);
     m.def("correspond", &correspond);
     m.def("triangulate", &triangulate);

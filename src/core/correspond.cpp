@@ -19,6 +19,7 @@ constexpr int kMaxWarmSteps = 8;
 /// A prediction is a continuation of the row only over so many pixels of `own`.
 constexpr int kMaxGap = 8;
 /// Fixed-point steps for the curve's row: each gains a factor of about the distortion's gradient (0.05 at most).
+/// From the column beside it the guess is good to 0.01 px, one step makes that 0.0005.
 constexpr int kWarmIterations = 2, kColdIterations = 6;
 
 /// Which blocks may hold a position: per row of blocks and bin of position, a list of columns of blocks.
@@ -153,8 +154,7 @@ class Search {
         double v = guess_v;
         for (int i = 0; i < kMaxWarmSteps; ++i) {
             if (u < 0 || u > last) return {};
-            const double v0 = curve.row(u, v, kWarmIterations),
-                         v1 = curve.row(u + 1, v0 + curve.slope(), kWarmIterations);
+            const double v0 = curve.row(u, v, kWarmIterations), v1 = curve.row(u + 1, v0 + curve.slope(), 1);
             const float p0 = curve.position(u, v0), p1 = curve.position(u + 1, v1);
             if (encloses(p0, p1, target)) return {u, p0, p1, v0, v1};
             const float steps = std::floor((target - p0) / (p1 - p0));

@@ -2,6 +2,7 @@
 
 #include <Eigen/Dense>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 
@@ -21,7 +22,7 @@ constexpr int kMinSteps = 3;
 /// Polynomial of Cephes atanf (Moshier), |error| < 3e-7 rad, without branches so that loops over it vectorise.
 inline float fast_atan2(float y, float x) {
     const float ax = std::fabs(x), ay = std::fabs(y);
-    const float large = std::max(ax, ay), small = std::min(ax, ay);
+    const float large = ax > ay ? ax : ay, small = ax > ay ? ay : ax;
     const bool reduce = small > 0.414213562F * large;
     const float t = (reduce ? small - large : small) / ((reduce ? small + large : large) + 1e-30F);
     const float z = t * t;
@@ -41,51 +42,85 @@ inline float fast_round(float x) {
 /// Sums of one row and, after them, the phase of one period.
 struct Row {
     std::vector<float> sum, c, s, brightest, phase, amplitude, variance;
+    // What the whole hierarchy of periods knows so far.
+    std::vector<float> known_variance;
+    std::vector<std::int32_t> rejected;
 
     explicit Row(std::size_t width)
-        : sum(width), c(width), s(width), brightest(width), phase(width), amplitude(width), variance(width) {}
+        : sum(width),
+          c(width),
+          s(width),
+          brightest(width),
+          phase(width),
+          amplitude(width),
+          variance(width),
+          known_variance(width),
+          rejected(width) {}
 };
 
-template <class T>
-void accumulate(const PhaseSteps<T>& steps, std::size_t offset, std::size_t width, Row& row) {
-    std::fill(row.sum.begin(), row.sum.end(), 0.0F);
-    std::fill(row.c.begin(), row.c.end(), 0.0F);
-    std::fill(row.s.begin(), row.s.end(), 0.0F);
-    std::fill(row.brightest.begin(), row.brightest.end(), 0.0F);
+/// Adds `Count` images to the sums of a row in one pass: the sums, not the images, are what memory has to move.
+template <int Count, class T>
+void add_images(const PhaseSteps<T>& steps, std::size_t first, std::size_t offset, std::size_t width, Row& row) {
     float* __restrict sum = row.sum.data();
     float* __restrict c = row.c.data();
     float* __restrict s = row.s.data();
     float* __restrict brightest = row.brightest.data();
-    for (std::size_t k = 0; k < steps.images.size(); ++k) {
-        const T* __restrict image = steps.images[k] + offset;
-        const float wc = steps.cos_angle[k], ws = steps.sin_angle[k];
-        for (std::size_t u = 0; u < width; ++u) {
-            const float grey = static_cast<float>(image[u]);
-            sum[u] += grey;
-            c[u] += wc * grey;
-            s[u] += ws * grey;
-            brightest[u] = std::max(brightest[u], grey);
-        }
+    std::array<const T*, Count> image;
+    std::array<float, Count> wc, ws;
+    for (int k = 0; k < Count; ++k) {
+        image[k] = steps.images[first + k] + offset;
+        wc[k] = steps.cos_angle[first + k];
+        ws[k] = steps.sin_angle[first + k];
     }
+    for (std::size_t u = 0; u < width; ++u) {
+        float total = sum[u], x = c[u], y = s[u], largest = brightest[u];
+        for (int k = 0; k < Count; ++k) {
+            const float grey = static_cast<float>(image[k][u]);
+            total += grey;
+            x += wc[k] * grey;
+            y += ws[k] * grey;
+            largest = grey > largest ? grey : largest;
+        }
+        sum[u] = total;
+        c[u] = x;
+        s[u] = y;
+        brightest[u] = largest;
+    }
+}
+
+template <class T>
+void accumulate(const PhaseSteps<T>& steps, std::size_t offset, std::size_t width, Row& row) {
+    for (auto* values : {&row.sum, &row.c, &row.s, &row.brightest}) std::fill(values->begin(), values->end(), 0.0F);
+    std::size_t k = 0;
+    for (; k + 4 <= steps.images.size(); k += 4) add_images<4>(steps, k, offset, width, row);
+    for (; k < steps.images.size(); ++k) add_images<1>(steps, k, offset, width, row);
+}
+
+/// Whether any pixel of the row reached saturation.
+bool any_saturated(const Row& row, float saturation) {
+    int any = 0;
+    for (const float grey : row.brightest) any |= grey >= saturation ? 1 : 0;
+    return any != 0;
 }
 
 /// N-step phase (Srinivasan et al. 1984): C = 2/N sum I cos = B cos(phi), S = 2/N sum I sin = B sin(phi);
 /// var(phi) = 2/N var(I) / B^2, exact for a variance linear in I and N > 3.
-void solve_equal_steps(std::size_t steps, std::size_t width, const DecodeSettings& settings, Row& row) {
-    const float n = static_cast<float>(steps), scale = 2.0F / n;
-    const float* __restrict sum = row.sum.data();
-    const float* __restrict c = row.c.data();
-    const float* __restrict s = row.s.data();
-    float* __restrict phase = row.phase.data();
-    float* __restrict amplitude = row.amplitude.data();
-    float* __restrict variance = row.variance.data();
+void solve_equal_steps(float scale, float offset, float slope, std::size_t width, const float* __restrict sum,
+                       const float* __restrict c, const float* __restrict s, float* __restrict phase,
+                       float* __restrict amplitude, float* __restrict variance) {
     for (std::size_t u = 0; u < width; ++u) {
         const float x = scale * c[u], y = scale * s[u], power = x * x + y * y;
+        const float noise = offset + slope * sum[u];
         phase[u] = fast_atan2(y, x);
         amplitude[u] = std::sqrt(power);
-        const float noise = std::max(settings.noise_offset + settings.noise_slope * sum[u] / n, 1e-12F);
-        variance[u] = scale * noise / (power + 1e-12F);
+        variance[u] = scale * (noise > 1e-12F ? noise : 1e-12F) / (power + 1e-12F);
     }
+}
+
+void solve_equal_steps(std::size_t steps, const DecodeSettings& settings, Row& row) {
+    const float n = static_cast<float>(steps);
+    solve_equal_steps(2 / n, settings.noise_offset, settings.noise_slope / n, row.sum.size(), row.sum.data(),
+                      row.c.data(), row.s.data(), row.phase.data(), row.amplitude.data(), row.variance.data());
 }
 
 /// The same by general least squares over the steps below saturation; false where too few are left.
@@ -122,24 +157,44 @@ struct Level {
     bool absolute, last;
 };
 
-void unwrap(const Level& level, const DecodeSettings& settings, std::size_t width, const Row& row,
-            float* __restrict position, float* __restrict variance, std::uint16_t* __restrict rejected) {
-    const float P = level.period_px, scale = P / (2 * kPi),
-                max_variance = (kMaxUnwrapSigma * P) * (kMaxUnwrapSigma * P);
-    const float dark = settings.max_phase_sigma_rad * settings.max_phase_sigma_rad;
-    const float start = settings.range_start_px;
+void unwrap(const Level& level, const DecodeSettings& settings, std::size_t width, float* __restrict position,
+            Row& row) {
+    const float P = level.period_px, per_period = 1 / P, scale = P / (2 * kPi);
+    const float max_variance = (kMaxUnwrapSigma * P) * (kMaxUnwrapSigma * P);
+    const float dark = level.last ? settings.max_phase_sigma_rad * settings.max_phase_sigma_rad
+                                  : std::numeric_limits<float>::infinity();
+    const float middle = settings.range_start_px + 0.5F * P, limit = level.absolute ? P : level.limit_px;
+    const bool absolute = level.absolute;
+    const float* __restrict phase = row.phase.data();
+    const float* __restrict phase_variance = row.variance.data();
+    float* __restrict variance = row.known_variance.data();
+    std::int32_t* __restrict rejected = row.rejected.data();
     for (std::size_t u = 0; u < width; ++u) {
-        const float x = row.phase[u] * scale, own = row.variance[u] * scale * scale;
-        const float guess = level.absolute ? start + 0.5F * P : position[u];
-        const float joint = level.absolute ? 0.0F : variance[u] + own;
-        const float unwrapped = x + P * fast_round((guess - x) / P);
-        const float limit = level.absolute ? P : level.limit_px;
-        const bool contradiction = !(std::fabs(guess - unwrapped) <= limit) || joint > max_variance;
-        rejected[u] = static_cast<std::uint16_t>(rejected[u] | (contradiction ? kCode : 0) |
-                                                 (level.last && row.variance[u] > dark ? kDark : 0));
+        const float x = phase[u] * scale, own = phase_variance[u] * scale * scale;
+        const float guess = absolute ? middle : position[u];
+        const float joint = absolute ? 0.0F : variance[u] + own;
+        const float unwrapped = x + P * fast_round((guess - x) * per_period);
+        rejected[u] |= std::fabs(guess - unwrapped) <= limit ? 0 : kCode;
+        rejected[u] |= joint > max_variance ? kCode : 0;
+        rejected[u] |= phase_variance[u] > dark ? kDark : 0;
         position[u] = unwrapped;
         variance[u] = own;
     }
+}
+
+/// Writes the row: NaN where rejected (but for the code alone: the phase is still good), moved into the range.
+void finish(const DecodeSettings& settings, std::size_t width, const Row& row, float* __restrict position,
+            float* __restrict sigma, std::uint16_t* __restrict out) {
+    const float start = settings.range_start_px, length = settings.range_length_px, end = start + length;
+    const std::int32_t* __restrict rejected = row.rejected.data();
+    const float* __restrict variance = row.known_variance.data();
+    for (std::size_t u = 0; u < width; ++u) {
+        const float x = position[u];
+        const float moved = x < start ? x + length : (x >= end ? x - length : x);
+        position[u] = (rejected[u] & ~kCode) != 0 ? kNaN : (length > 0 ? moved : x);
+        sigma[u] = (rejected[u] & ~kCode) != 0 ? kNaN : std::sqrt(variance[u]);
+    }
+    for (std::size_t u = 0; u < width; ++u) out[u] = static_cast<std::uint16_t>(rejected[u]);
 }
 
 }  // namespace
@@ -152,50 +207,44 @@ void decode_phase(const std::vector<PhaseSteps<T>>& steps, Image<const float> co
     float images = 0;
     for (const auto& period : steps) images += static_cast<float>(period.images.size());
 
-    const auto decode_row = [&](int v, Row& row, std::vector<float>& variance) {
-        float* position = out.position_px.row(v);
-        float* mean = out.mean.row(v);
-        float* modulation = out.modulation.row(v);
-        std::uint16_t* rejected = out.rejected.row(v);
+    const auto decode_row = [&](int v, Row& row) {
+        float* __restrict position = out.position_px.row(v);
+        float* __restrict mean = out.mean.row(v);
+        float* __restrict modulation = out.modulation.row(v);
         const std::size_t offset = static_cast<std::size_t>(v) * width;
-        std::fill_n(rejected, width, std::uint16_t{0});
+        std::fill(row.rejected.begin(), row.rejected.end(), 0);
         std::fill_n(mean, width, 0.0F);
         std::fill_n(modulation, width, 0.0F);
         // The Gray code is a cell, not a measured value: its bounds are in the limit, not in a variance.
-        std::fill(variance.begin(), variance.end(), 0.0F);
+        std::fill(row.known_variance.begin(), row.known_variance.end(), 0.0F);
         if (!coarse.empty()) std::copy_n(coarse.row(v), width, position);
         for (std::size_t i = 0; i < steps.size(); ++i) {
             const std::size_t n = steps[i].images.size();
             accumulate(steps[i], offset, width, row);
-            solve_equal_steps(n, width, settings, row);
+            solve_equal_steps(n, settings, row);
+            if (any_saturated(row, settings.saturation))
+                for (std::size_t u = 0; u < width; ++u)
+                    if (row.brightest[u] >= settings.saturation &&
+                        !solve_unsaturated(steps[i], offset + u, u, settings, row))
+                        row.rejected[u] |= kSaturated;
+            const float share = static_cast<float>(n) / images, weight = 1 / images;
+            const float* __restrict sum = row.sum.data();
+            const float* __restrict amplitude = row.amplitude.data();
             for (std::size_t u = 0; u < width; ++u) {
-                if (row.brightest[u] < settings.saturation) continue;
-                if (!solve_unsaturated(steps[i], offset + u, u, settings, row)) rejected[u] |= kSaturated;
-            }
-            const float share = static_cast<float>(n) / images;
-            for (std::size_t u = 0; u < width; ++u) {
-                mean[u] += row.sum[u] / images;
-                modulation[u] += share * row.amplitude[u];
+                mean[u] += weight * sum[u];
+                modulation[u] += share * amplitude[u];
             }
             const bool first = i == 0;
             const Level level{steps[i].period_px,
                               first ? settings.coarse_limit_px : kMaxUnwrapDifference * steps[i].period_px,
                               first && coarse.empty(), i + 1 == steps.size()};
-            unwrap(level, settings, width, row, position, variance.data(), rejected);
+            unwrap(level, settings, width, position, row);
         }
-        const float start = settings.range_start_px, length = settings.range_length_px;
-        float* sigma = out.sigma_px.row(v);
-        for (std::size_t u = 0; u < width; ++u) {
-            float x = position[u];
-            if (length > 0) x = x < start ? x + length : (x >= start + length ? x - length : x);
-            position[u] = rejected[u] ? kNaN : x;
-            sigma[u] = rejected[u] ? kNaN : std::sqrt(variance[u]);
-        }
+        finish(settings, width, row, position, out.sigma_px.row(v), out.rejected.row(v));
     };
     parallel_for(static_cast<std::size_t>(height), threads, [&](std::size_t begin, std::size_t end) {
         Row row(width);
-        std::vector<float> variance(width);
-        for (std::size_t v = begin; v < end; ++v) decode_row(static_cast<int>(v), row, variance);
+        for (std::size_t v = begin; v < end; ++v) decode_row(static_cast<int>(v), row);
     });
 }
 

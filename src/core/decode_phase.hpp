@@ -43,7 +43,7 @@ struct PhaseResult {
 /// Absolute projector position of every pixel: N-step phases, unwrapped from the longest period down.
 ///
 /// `steps` stands from the longest period to the shortest. `coarse` is the position by Gray code (NaN where none), or
-/// empty: then the first period is absolute.
+/// empty: then the first period is absolute. Pixels that are rejected for their code alone keep position and sigma.
 template <class T>
 void decode_phase(const std::vector<PhaseSteps<T>>& steps, Image<const float> coarse, const DecodeSettings& settings,
                   int threads, const PhaseResult& out);

@@ -30,6 +30,16 @@ Eigen::Vector3d normalised(const ViewGeometry& view, double u, double v) {
     return {n.x(), n.y(), 1.0};
 }
 
+Eigen::Vector3d own_ray(const ViewGeometry& view, int u, int v) {
+    Eigen::Vector2d pixel(u, v);
+    if (!view.shift_px.empty()) {
+        const float* shift = view.shift_px.at(v, u);
+        pixel += Eigen::Vector2d(shift[0], shift[1]);
+    }
+    const Eigen::Vector2d n = view.camera.from_pixel(pixel);
+    return {n.x(), n.y(), 1.0};
+}
+
 }  // namespace
 
 void triangulate(const ViewGeometry& own, const ViewGeometry& other, Image<const float> pixel, Image<const float> sigma,
@@ -49,21 +59,23 @@ void triangulate(const ViewGeometry& own, const ViewGeometry& other, Image<const
                 point[0] = point[1] = point[2] = point_sigma = miss = kNaN;
                 const float* p = pixel.at(v, u);
                 if (!(p[0] == p[0])) continue;
-                const Eigen::Vector3d ray = normalised(own, u, v), q = R_other_own * ray;
+                const Eigen::Vector3d ray = own_ray(own, u, v), q = R_other_own * ray;
                 const Eigen::Vector3d b = normalised(other, p[0], p[1]);
                 // Nearest point of x(s) = t + s q to the line along b: (q x b) s = -(t x b) in the least squares sense.
                 const Eigen::Vector3d qb = q.cross(b), tb = t.cross(b);
-                const double depth = -qb.dot(tb) / qb.squaredNorm();
+                const double squared = qb.squaredNorm(), depth = -qb.dot(tb) / squared;
                 const Eigen::Vector3d x = t + depth * q;
-                if (!(depth > 0) || !(x.z() > 0) || qb.squaredNorm() < kMinSine * kMinSine * q.squaredNorm()) continue;
+                if (!(depth > 0) || !(x.z() > 0) || squared < kMinSine * kMinSine * q.squaredNorm()) continue;
                 // Image of the point in the other camera moves by `motion` [focal lengths] per unit of depth.
-                const Eigen::Vector2d image(x.x() / x.z(), x.y() / x.z());
-                const Eigen::Vector2d motion = (q.head<2>() - image * q.z()) / x.z();
+                const double inverse_z = 1 / x.z();
+                const Eigen::Vector2d image = x.head<2>() * inverse_z;
+                const Eigen::Vector2d motion = (q.head<2>() - image * q.z()) * inverse_z;
+                const double inverse_motion = 1 / motion.norm();
                 const Eigen::Vector2d off = b.head<2>() - image;
                 const Eigen::Vector3d sensor = center + depth * (R_sensor_own * ray);
                 for (int k = 0; k < 3; ++k) point[k] = static_cast<float>(sensor[k]);
-                point_sigma = static_cast<float>(*sigma.at(v, u) / focal / motion.norm() * ray.norm());
-                miss = static_cast<float>(focal * (off.x() * motion.y() - off.y() * motion.x()) / motion.norm());
+                point_sigma = static_cast<float>(*sigma.at(v, u) / focal * inverse_motion * ray.norm());
+                miss = static_cast<float>(focal * (off.x() * motion.y() - off.y() * motion.x()) * inverse_motion);
             }
         }
     });

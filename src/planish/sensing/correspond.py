@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish import _core
 from planish.errors import InputError
@@ -50,7 +49,7 @@ def fundamental_matrix(own: Camera, other: Camera) -> Array:
 
 
 def undistortion_shifts(camera: Camera, threads: int) -> Map:
-    """Return for each pixel the shift (H, W, 2) [px] to its place without lens distortion; empty without one."""
+    """Return each pixel's shift (H, W, 2) [px] to its place without lens distortion; size 0 without distortion."""
     if not camera.distortion.any():
         return np.empty((0, 0, 2), np.float32)
     return _cached_shifts(camera.kernel_parameters.tobytes(), camera.size_px, threads)
@@ -102,13 +101,3 @@ def correspond(
         own.position_px, own.sigma_px, own_shifts, position, sigma, shifts, np.ascontiguousarray(F), threads
     )
     return Correspondences(np.ascontiguousarray(pixel[..., ::-1]) if steep else pixel, pixel_sigma)
-
-
-def position_slope(position_px: NDArray[np.float32], sample: int = 8) -> float:
-    """Return the median change of position (H, W) from pixel to pixel [projector px per px] along the steeper axis."""
-    slopes = [0.0]
-    for lines in (position_px[::sample], position_px[:, ::sample].T):
-        steps = np.abs(np.diff(lines, axis=1))
-        if (known := steps[np.isfinite(steps)]).size:
-            slopes.append(float(np.median(known)))
-    return max(slopes)

@@ -18,6 +18,7 @@ from planish.sensing.capture import GreyImage
 from planish.sensing.sequence import Layout
 
 Array = NDArray[np.float64]
+Samples = NDArray[np.float32]
 
 #: Full scales of sensors, also of 10, 12 and 14 bit in files of 16 bit (low or high bits used).
 FULL_SCALES = (255, 1023, 4095, 16383, 65472, 65520, 65532, 65535)
@@ -65,6 +66,14 @@ def estimate_noise(images: Sequence[GreyImage], layout: Layout, saturation: floa
     return _fit(np.concatenate(levels), np.concatenate(residuals))
 
 
+def estimate_image_noise(image: GreyImage) -> NoiseModel:
+    """Return the variance of a grey value of one image (H, W) alone, from second differences along columns.
+
+    An upper bound: the finest texture cannot be told from noise without a second image.
+    """
+    return _fit(*_sample([image], (0,), np.ones(1), full_scale([image])))
+
+
 def _contrasts(layout: Layout) -> list[tuple[tuple[int, ...], Array]]:
     """Image indices and weights whose weighted sum holds noise only, of the variance of one image."""
     found = []
@@ -86,32 +95,40 @@ def _contrasts(layout: Layout) -> list[tuple[tuple[int, ...], Array]]:
 
 def _sample(
     images: Sequence[GreyImage], indices: tuple[int, ...], weight: Array, saturation: float
-) -> tuple[Array, Array]:
+) -> tuple[Samples, Samples]:
     height = images[0].shape[0]
     groups = max(1, min(SAMPLED_ROWS, height) // 3)
     starts = np.unique(np.linspace(0, max(height - 3, 0), groups).astype(int))
-    rows = np.minimum(starts[:, None] + np.arange(3), height - 1)
-    stack = np.stack([images[i][rows] for i in indices]).astype(np.float32)
-    contrast = np.tensordot(weight.astype(np.float32), stack, 1)
-    residual = (contrast[:, 0] - 2 * contrast[:, 1] + contrast[:, 2]) / np.sqrt(6)
-    usable = stack.max(axis=(0, 2)) < saturation
-    return stack.mean(axis=0)[:, 1][usable].astype(float), residual[usable].astype(float)
+    contrast = np.zeros((len(starts), images[0].shape[1]), np.float32)
+    level = np.zeros_like(contrast)
+    brightest = np.zeros_like(contrast)
+    for index, w in zip(indices, weight, strict=True):
+        # Second difference along the column (1, -2, 1) / sqrt(6): unit noise gain.
+        for row, share in enumerate((1.0, -2.0, 1.0)):
+            grey = images[index][np.minimum(starts + row, height - 1)].astype(np.float32)
+            contrast += np.float32(w * share / np.sqrt(6)) * grey
+            np.maximum(brightest, grey, out=brightest)
+            # The grey level that the variance of the residual belongs to: each pixel by its share of it.
+            level += np.float32(share**2 / 6 / len(indices)) * grey
+    if np.all(weight > 0):
+        # Such a contrast is the image itself, and its own noise must not choose its bin: the pixels beside it do.
+        level = 0.5 * (np.roll(level, 1, axis=1) + np.roll(level, -1, axis=1))
+    usable = brightest < saturation
+    return level[usable], contrast[usable]
 
 
-def _fit(level: Array, residual: Array) -> NoiseModel:
+def _fit(level: Samples, residual: Samples) -> NoiseModel:
     if len(level) < MIN_SAMPLES:
         return NoiseModel(1.0, 0.0)
     edges = np.linspace(level.min(), level.max() + 1e-6, LEVELS + 1)
-    which = np.digitize(level, edges) - 1
-    order = np.argsort(which, kind="stable")
-    bounds = np.searchsorted(which[order], np.arange(LEVELS + 1))
     x, y, n = [], [], []
-    for begin, end in itertools.pairwise(bounds):
-        if end - begin >= MIN_SAMPLES:
-            members = order[begin:end]
-            x.append(level[members].mean())
+    for low, high in itertools.pairwise(edges):
+        members = (level >= low) & (level < high)
+        count = int(members.sum())
+        if count >= MIN_SAMPLES:
+            x.append(float(level[members].mean(dtype=float)))
             y.append(max(_clipped_variance(residual[members]), QUANTISATION))
-            n.append(end - begin)
+            n.append(count)
     if not x:
         return NoiseModel(max(_clipped_variance(residual), QUANTISATION), 0.0)
     means, variances, counts = np.array(x), np.array(y), np.array(n, float)
@@ -127,9 +144,9 @@ def _fit(level: Array, residual: Array) -> NoiseModel:
     return NoiseModel(offset, slope)
 
 
-def _clipped_variance(residual: Array) -> float:
+def _clipped_variance(residual: Samples) -> float:
     scale = float(np.quantile(np.abs(residual), 0.6827))
     for _ in range(3):
         kept = residual[np.abs(residual) <= CLIP_SIGMAS * max(scale, np.sqrt(QUANTISATION))]
-        scale = float(np.sqrt((kept**2).mean()))
+        scale = float(np.sqrt((kept**2).mean(dtype=float)))
     return scale**2

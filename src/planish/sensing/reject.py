@@ -11,8 +11,7 @@ from planish.measurement import REJECTIONS, Map
 from planish.options import Options
 from planish.rig import Camera
 from planish.sensing.capture import Box
-from planish.sensing.correspond import position_slope
-from planish.sensing.decode import PhaseMap
+from planish.sensing.decode import PhaseMap, position_slope
 from planish.sensing.triangulate import TriangulatedPoints
 
 Mask = NDArray[np.bool_]

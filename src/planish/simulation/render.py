@@ -93,11 +93,13 @@ def _inside(device: Camera, points_sensor: Array) -> Mask:
 def _kernel_scene(scene: Scene, T_object_sensor: Array, camera: str) -> dict[str, Any]:
     surface, rig = scene.surface, scene.rig
     assert rig.projector is not None
+    device = rig.cameras[camera]
+    sample_mm = float(np.linalg.norm(device.center_sensor) / device.K[0, 0] / scene.sensor.samples_per_px)
     values = {
-        "camera": _in_object_frame(rig.cameras[camera], T_object_sensor).kernel_parameters,
+        "camera": _in_object_frame(device, T_object_sensor).kernel_parameters,
         "projector": _in_object_frame(rig.projector, T_object_sensor).kernel_parameters,
         "surface": surface.kernel_values,
-        "texture": kernel_texture(scene.texture, surface.half_s, surface.half_t, scene.seed),
+        "texture": kernel_texture(scene.texture, surface.half_s, surface.half_t, scene.seed, sample_mm),
         "light": kernel_light(scene.light, rig, T_object_sensor),
     }
     if scene.background is not None:
@@ -107,7 +109,7 @@ def _kernel_scene(scene: Scene, T_object_sensor: Array, camera: str) -> dict[str
             "axis_x": x.copy(), "axis_y": y.copy(), "normal": z.copy(),
             # The key differs from the part's, so that part and background never share their grain.
             "texture": kernel_texture(
-                scene.background.texture, _BACKGROUND_HALF, _BACKGROUND_HALF, scene.sensor.seed + (1 << 32)
+                scene.background.texture, _BACKGROUND_HALF, _BACKGROUND_HALF, scene.sensor.seed + (1 << 32), sample_mm
             ),
         }  # fmt: skip
     return values

@@ -23,8 +23,13 @@ class Background:
     """A textured plane z = `z_mm` of the sensor frame: it moves with the sensor, not with the part."""
 
     z_mm: float = -220.0
-    texture: Texture = Texture(
-        albedo=0.3, grain=Grain(0.08, 6.0, 3.0), scratches=None, specks=Marks(4.0, 0.4, (1.0, 6.0), (1.0, 6.0), 0.4)
+    texture: Texture = field(
+        default_factory=lambda: Texture(
+            albedo=0.3,
+            grain=Grain(0.08, 6.0, 3.0),
+            scratches=None,
+            specks=Marks(4.0, 0.4, (1.0, 6.0), (1.0, 6.0), 0.4),
+        )
     )
 
 
@@ -119,14 +124,13 @@ def make_scene(
     _require(grain is None or 0 <= grain <= 0.2, "grain", grain, "a contrast from 0 to 0.2")
     _require(0 <= texture_density <= 100, "texture density", texture_density, "a factor from 0 to 100")
     _require(0.05 <= scale <= 2, "width scale", scale, "a factor from 0.05 to 2")
-    _require(bits in (8, 16), "bits", bits, "8 or 16")
     rng = np.random.Generator(np.random.Philox(key=[seed, 3]))
     scene = SCENES[name](rng, captures)
     texture = scene.texture.with_density(texture_density)
     if grain is not None:
         texture = texture.with_grain(grain)
-    # Coarse pixels hold more texture: as many samples per millimetre as at full resolution.
-    sensor = replace(scene.sensor, bits=bits, seed=seed, samples_per_px=max(2, round(2 / scale)))
+    # Coarse pixels hold more texture: as many samples per millimetre as at full resolution, within reason.
+    sensor = replace(scene.sensor, bits=bits, seed=seed, samples_per_px=min(4, max(2, round(2 / scale))))
     return replace(scene, texture=texture, sensor=sensor, rig=reference_rig(scale), seed=seed)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.errors import InputError
 from planish.geometry import Array, compose, exp_so3, invert
 from planish.rig import Camera, Rig
 from planish.sensing.capture import Entry
@@ -96,6 +97,18 @@ class Sensor:
     grid_depth: float = 0.05
     samples_per_px: int = 2
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Refuse values without a meaning."""
+        positive = ("white_level", "white_albedo", "exposure", "electrons_per_level", "gamma", "saturation")
+        for name in positive:
+            if not 0 < getattr(self, name) < np.inf:
+                raise InputError(name.replace("_", " "), f"found {getattr(self, name)}", "a number above 0")
+        for name in ("read_noise", "noise_factor", "prnu", "dust", "projector_dust", "psf_px", "projector_blur_px"):
+            if not 0 <= getattr(self, name) < np.inf:
+                raise InputError(name.replace("_", " "), f"found {getattr(self, name)}", "a number of at least 0")
+        if self.bits not in (8, 16):
+            raise InputError("bits", f"found {self.bits}", "8 or 16")
 
 
 def reference_rig(scale: float = 1.0) -> Rig:

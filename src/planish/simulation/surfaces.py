@@ -110,8 +110,9 @@ class Pipe(Cylinder):
 class Door(Surface):
     """A car-door panel: two curvatures, a raised character line, an elliptic recess with steep walls [mm].
 
-    The character line is the ridge y = line_y + line_slope x with an edge of radius about line_edge^2 line_fade /
-    (line_height (line_edge)); the recess falls by recess_depth over about 4 recess_wall of its half axes.
+    The character line is a ridge `line_height` high along y = line_y + line_slope x that runs out over `line_fade`; its
+    crest is rounded to the radius line_edge line_fade / line_height. The recess falls by `recess_depth` over about four
+    times `recess_wall` of its half axes, steepest by recess_depth / (4 recess_wall half_axis).
     """
 
     kind: ClassVar[str] = "door"

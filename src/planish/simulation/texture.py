@@ -19,6 +19,8 @@ from planish.simulation.surfaces import Surface
 GRAIN_SCALES = ((1.0, 1.0), (2.1, 0.7), (4.7, 0.5), (11.0, 0.35))
 #: Lattice spacing of smooth noise per correlation length (distance at which the correlation is 1/e).
 SPACING_PER_CORRELATION = 0.85
+#: Grain whose lattice is finer than this share of the distance between samples would alias instead of averaging out.
+FINEST_LATTICE = 0.6
 #: The brush strokes of the scales differ in direction by this standard deviation [rad].
 STROKE_SPREAD = 0.02
 _KINDS = {"scratch": 0, "speck": 1, "smudge": 2}
@@ -88,8 +90,13 @@ class Texture:
 BLANK = Texture(grain=None, scratches=None, specks=None, smudges=None)
 
 
-def kernel_texture(texture: Texture, half_s: float, half_t: float, seed: int) -> dict[str, Any]:
-    """Return the texture of a surface |s| <= half_s, |t| <= half_t [mm] for the core."""
+def kernel_texture(
+    texture: Texture, half_s: float, half_t: float, seed: int, sample_mm: float = 0.0
+) -> dict[str, Any]:  # fmt: skip
+    """Return the texture of a surface |s| <= half_s, |t| <= half_t [mm] for the core.
+
+    Grain too fine for samples `sample_mm` apart is left out: a pixel averages it away.
+    """
     rng = np.random.Generator(np.random.Philox(key=[seed, 1]))
     layers = [
         _place_marks(kind, marks, half_s, half_t, rng)
@@ -101,7 +108,7 @@ def kernel_texture(texture: Texture, half_s: float, half_t: float, seed: int) ->
     ]
     return {
         "albedo": float(texture.albedo),
-        "grain": _grain_scales(texture.grain, seed),
+        "grain": _grain_scales(texture.grain, seed, sample_mm),
         "marks": np.ascontiguousarray(np.concatenate(layers)),
         "half_s": float(half_s),
         "half_t": float(half_t),
@@ -116,7 +123,7 @@ def reflectance(texture: Texture, surface: Surface, st: Array, seed: int) -> Arr
     return out
 
 
-def _grain_scales(grain: Grain | None, seed: int) -> Array:
+def _grain_scales(grain: Grain | None, seed: int, sample_mm: float) -> Array:
     """Return rows (n, 5): lattice spacing along, across [mm], angle [rad], rms amplitude, seed."""
     if grain is None:
         return np.empty((0, 5))
@@ -127,7 +134,8 @@ def _grain_scales(grain: Grain | None, seed: int) -> Array:
     angles = grain.angle_rad + STROKE_SPREAD * rng.standard_normal(n)
     seeds = rng.integers(0, 2**32, n).astype(float)
     along, across = (SPACING_PER_CORRELATION * length * factors for length in (grain.along_mm, grain.across_mm))
-    return np.ascontiguousarray(np.column_stack([along, across, angles, amplitudes, seeds]))
+    scales = np.column_stack([along, across, angles, amplitudes, seeds])
+    return np.ascontiguousarray(scales[across >= FINEST_LATTICE * sample_mm])
 
 
 def _place_marks(kind: str, marks: Marks | None, half_s: float, half_t: float, rng: np.random.Generator) -> Array:

@@ -9,11 +9,11 @@ import numpy as np
 from planish.measurement import Map
 from planish.sensing.capture import GreyImage
 from planish.sensing.decode.gray import gray_offset, gray_positions
-from planish.sensing.decode.phase import DecodeOptions, PhaseMap, decode
+from planish.sensing.decode.phase import DecodeOptions, PhaseMap, decode, position_slope
 from planish.sensing.noise import estimate_noise, full_scale
 from planish.sensing.sequence import Layout
 
-__all__ = ["DecodeOptions", "PhaseMap", "decode", "decode_views"]
+__all__ = ["DecodeOptions", "PhaseMap", "decode", "decode_views", "position_slope"]
 
 
 def decode_views(

@@ -16,6 +16,8 @@ from planish.sensing.capture import GreyImage
 from planish.sensing.decode.average import mean_image
 from planish.sensing.sequence import Axis, Layout
 
+#: Neighbours that differ by more than so many standard deviations lie on different surfaces.
+AGREEMENT_SIGMAS = 5.0
 NOTHING: Map = np.empty((0, 0), np.float32)
 
 
@@ -97,7 +99,8 @@ def decode(
     -----
     I_k = A + B cos(phi - sign 2 pi k / N); position = phi P / (2 pi) + whole periods P, which come from the next longer
     period or the Gray code. sigma = P / (2 pi) sqrt(2 / N) sigma_I / B. Steps at saturation are left out, the rest is
-    solved by least squares.
+    solved by least squares. Single pixels with a wrong number of whole periods take that of their neighbours; no phase
+    is changed by them.
     """
     angles = [angle for period in layout.periods for angle in period.angles]
     extent, longest = layout.extent_px, layout.periods[0].period_px
@@ -122,6 +125,11 @@ def decode(
         longest if gray is None else 0.0,
         threads,
     )
+    # One phase step from pixel to pixel is what neighbours on one surface may differ by.
+    tolerance = position_slope(np.where(rejected == 0, position, np.float32(np.nan)))
+    position, sigma, rejected = _core.repair_periods(
+        position, sigma, rejected, layout.periods[-1].period_px, tolerance, AGREEMENT_SIGMAS, threads
+    )
     white = None
     if layout.white:
         white = mean_image(images, layout.white)
@@ -129,3 +137,13 @@ def decode(
             white -= mean_image(images, layout.black)
     view = View(white, mean, modulation, len(layout.phase_images), noise, saturation)
     return PhaseMap(layout.axis, position, sigma, rejected, view)
+
+
+def position_slope(position_px: NDArray[np.float32], sample: int = 8) -> float:
+    """Return the median change of position (H, W) from pixel to pixel [projector px per px] along the steeper axis."""
+    slopes = [0.0]
+    for lines in (position_px[::sample], position_px[:, ::sample].T):
+        steps = np.abs(np.diff(lines, axis=1))
+        if (known := steps[np.isfinite(steps)]).size:
+            slopes.append(float(np.median(known)))
+    return max(slopes)
