@@ -21,7 +21,7 @@ from planish.report.style import INK, MUTED, colour, png, rgb
 TEXTURE_PX = 640
 GAP_PX = 16
 #: No more lines than this are drawn of each kind: they would cover the texture.
-MAX_LINES = 150
+MAX_LINES = 90
 #: Grey levels of the picture (texture is noise to the compressor: fewer levels, smaller file).
 GREY_LEVELS = 24
 #: Darkest and lightest grey of a texture: the lines must stand out.
