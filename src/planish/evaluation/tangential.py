@@ -126,8 +126,10 @@ def measure_tile_shifts(
     textures = (*a.contrast, *b.contrast, pixels_b)
     start = _common_shift(textures, rows, size, gsd, thread_count(threads))
     found = _core.tile_shifts(*textures, rows, size, start[0], start[1], thread_count(threads))
-    shifts, covariances = found[:, :2], found[:, 2:6].reshape(-1, 2, 2)
     good = found[:, 8] > 0
+    # One factor for all tiles: that of a single tile, from some 30 blocks, is itself too noisy to weigh with.
+    inflation = max(1.0, float(found[good, 9].mean())) if good.any() else 1.0
+    shifts, covariances = found[:, :2], inflation * found[:, 2:6].reshape(-1, 2, 2)
     good &= found[:, 6] >= MIN_TILE_SHARE * size**2
     good &= np.linalg.norm(shifts - start, axis=1) <= MAX_RUN_PX * gsd
     best = np.linalg.eigvalsh(np.where(good[:, None, None], covariances, np.eye(2)))[:, 0]
