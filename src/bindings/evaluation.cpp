@@ -57,24 +57,24 @@ std::vector<planish::Tile> tiles_from(const In<double, 2>& rows) {
     return tiles;
 }
 
-/// Rows (K, 9): shift (2), covariance (4), pixels, correlation, converged.
+/// Rows (K, 10): shift (2), covariance (4), pixels, correlation, converged, inflation.
 Out<double, 2> tile_shifts(const In<float, 2>& value_a, const In<float, 2>& sigma_a, const In<float, 2>& value_b,
                            const In<float, 2>& sigma_b, const In<float, 3>& pixels_b, const In<double, 2>& tiles,
                            int size, double start_1, double start_2, int threads) {
     const planish::Contrast a{view<float, 2>(value_a), view<float, 2>(sigma_a)};
     const planish::Contrast b{view<float, 2>(value_b), view<float, 2>(sigma_b)};
     const auto list = tiles_from(tiles);
-    Owned<double> out(static_cast<int>(list.size()), 9, 1);
+    Owned<double> out(static_cast<int>(list.size()), 10, 1);
     {
         nb::gil_scoped_release release;
         const auto shifts =
             planish::tile_shifts(a, b, view<float, 3>(pixels_b), list, size, {start_1, start_2}, threads);
         for (std::size_t i = 0; i < shifts.size(); ++i) {
             const planish::TileShift& s = shifts[i];
-            const double row[9] = {s.shift_mm.x(),     s.shift_mm.y(),     s.covariance(0, 0),
-                                   s.covariance(0, 1), s.covariance(1, 0), s.covariance(1, 1),
-                                   double(s.pixels),   s.correlation,      s.converged ? 1.0 : 0.0};
-            std::copy_n(row, 9, out.image.row(static_cast<int>(i)));
+            const double row[10] = {s.shift_mm.x(),          s.shift_mm.y(),     s.covariance(0, 0), s.covariance(0, 1),
+                                    s.covariance(1, 0),      s.covariance(1, 1), double(s.pixels),   s.correlation,
+                                    s.converged ? 1.0 : 0.0, s.inflation};
+            std::copy_n(row, 10, out.image.row(static_cast<int>(i)));
         }
     }
     return out.map();

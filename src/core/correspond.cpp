@@ -24,9 +24,10 @@ constexpr int kWarmIterations = 2, kColdIterations = 6;
 
 /// Which blocks may hold a position: per row of blocks and bin of position, a list of columns of blocks.
 class BlockIndex {
-public:
+  public:
     explicit BlockIndex(Image<const float> position)
-        : position_(position), rows_((position.height + kBlock - 1) / kBlock),
+        : position_(position),
+          rows_((position.height + kBlock - 1) / kBlock),
           columns_((position.width + kBlock - 1) / kBlock) {
         for (std::size_t i = 0; i < position.pixels(); ++i) {
             const float p = position.data[i];
@@ -49,7 +50,7 @@ public:
         return {entries_.data() + start_[list], entries_.data() + start_[list + 1]};
     }
 
-private:
+  private:
     static constexpr int kBins = 1024;
 
     [[nodiscard]] std::size_t bin(float p) const {
@@ -94,7 +95,7 @@ double largest_row_shift(Image<const float> shift) {
 
 /// The epipolar curve of one pixel in the other camera: row v as a function of column u.
 class Curve {
-public:
+  public:
     Curve(const PhaseView& view, const Eigen::Vector3d& line)
         : view_(view), slope_(-line.x() / line.y()), offset_(-line.z() / line.y()) {}
 
@@ -123,7 +124,7 @@ public:
         return a + f * (b - a);
     }
 
-private:
+  private:
     const PhaseView& view_;
     double slope_, offset_;
 };
@@ -142,7 +143,7 @@ bool encloses(float p0, float p1, float target) {
 }
 
 class Search {
-public:
+  public:
     Search(const PhaseView& view, const BlockIndex& blocks)
         : view_(view), blocks_(blocks), row_shift_(largest_row_shift(view.shift_px)) {}
 
@@ -188,7 +189,7 @@ public:
         return several && !(predicted_u == predicted_u) ? Crossing{} : best;
     }
 
-private:
+  private:
     static int block_row(double v) { return static_cast<int>(std::floor(v / kBlock)); }
 
     template <class Action>
@@ -220,9 +221,7 @@ std::array<float, 4> spline(float f) {
     return {g * g * g / 6, (4 - 6 * f * f + 3 * f * f * f) / 6, (4 - 6 * g * g + 3 * g * g * g) / 6, f * f * f / 6};
 }
 
-float sum_of_squares(const std::array<float, 4>& w) {
-    return w[0] * w[0] + w[1] * w[1] + w[2] * w[2] + w[3] * w[3];
-}
+float sum_of_squares(const std::array<float, 4>& w) { return w[0] * w[0] + w[1] * w[1] + w[2] * w[2] + w[3] * w[3]; }
 
 /// Cubic B-spline of the 4 x 4 pixels around: exact for linear positions, of nearly the same noise wherever the place
 /// lies between the pixels (0.23 of a pixel's variance; bilinear: 0.25 ... 1). False where one of them is missing.

@@ -47,8 +47,15 @@ struct Row {
     std::vector<std::int32_t> rejected;
 
     explicit Row(std::size_t width)
-        : sum(width), c(width), s(width), brightest(width), phase(width), amplitude(width), variance(width),
-          known_variance(width), rejected(width) {}
+        : sum(width),
+          c(width),
+          s(width),
+          brightest(width),
+          phase(width),
+          amplitude(width),
+          variance(width),
+          known_variance(width),
+          rejected(width) {}
 };
 
 /// Adds `Count` images to the sums of a row in one pass: the sums, not the images, are what memory has to move.

@@ -14,6 +14,9 @@ constexpr int MAX_STEPS = 12;
 /// A step shorter than this [px] ends the iteration.
 constexpr double LAST_STEP_PX = 1e-3;
 
+/// Edge of the blocks whose residuals are taken as belonging together [px].
+constexpr int CLUSTER_PX = 6;
+
 struct Sample {
     double value, du, dv, variance;
 };
@@ -50,6 +53,7 @@ bool sample(const Contrast& b, double u, double v, Sample& out) {
 struct Template {
     double value, variance;
     Eigen::Vector2d gradient, pixel_b;
+    int cluster;
 };
 
 void gather(const Contrast& a, const Image<const float>& pixels_b, const Tile& tile, int size,
@@ -65,7 +69,9 @@ void gather(const Contrast& a, const Image<const float>& pixels_b, const Tile& t
             const double value = *a.value.at(v, u), sigma = *a.sigma.at(v, u);
             const double all = value + sigma + gradient.sum() + pixel[0] + pixel[1];
             if (!(all == all)) continue;
-            out.push_back({value, sigma * sigma, tile.J_a.transpose() * gradient, {pixel[0], pixel[1]}});
+            const int cluster =
+                (v - tile.row * size) / CLUSTER_PX * (size / CLUSTER_PX + 1) + (u - tile.column * size) / CLUSTER_PX;
+            out.push_back({value, sigma * sigma, tile.J_a.transpose() * gradient, {pixel[0], pixel[1]}, cluster});
         }
 }
 
@@ -115,6 +121,43 @@ Fit evaluate(const Contrast& b, const Tile& tile, const std::vector<Template>& p
     fit.residual_variance = (aa - 2 * ab + bb) / fit.pixels;  // in units of the stated variances
     fit.correlation = ab / std::sqrt(aa * bb);
     return fit;
+}
+
+/// Ratio of the variance of the right-hand side as the spread of the blocks' sums shows it to what independent
+/// residuals would give (cluster-robust "sandwich", Liang and Zeger 1986), mean of both directions.
+double inflation(const Contrast& b, const Tile& tile, const std::vector<Template>& pixels, const Eigen::Vector2d& shift,
+                 const Fit& fit) {
+    const Eigen::Vector2d step_b = tile.J_b * shift + tile.offset_b;
+    std::vector<Eigen::Vector3d> blocks;
+    Eigen::Vector2d sg(0, 0);
+    double sw = 0, sd = 0;
+    // Two passes: the means must be known before products about them can be summed block by block.
+    for (const bool summing : {false, true})
+        for (const Template& p : pixels) {
+            Sample s;
+            if (!sample(b, p.pixel_b.x() + step_b.x(), p.pixel_b.y() + step_b.y(), s)) continue;
+            const double w = 1 / (p.variance + s.variance);
+            if (!summing) {
+                sw += w;
+                sd += w * (p.value - s.value);
+                sg += w * p.gradient;
+                continue;
+            }
+            if (static_cast<std::size_t>(p.cluster) >= blocks.size())
+                blocks.resize(static_cast<std::size_t>(p.cluster) + 1, Eigen::Vector3d::Zero());
+            const Eigen::Vector2d score = w * (p.gradient - sg / sw) * (p.value - s.value - sd / sw);
+            blocks[static_cast<std::size_t>(p.cluster)] += Eigen::Vector3d(score.x(), score.y(), 1);
+        }
+    Eigen::Matrix2d sum = Eigen::Matrix2d::Zero();
+    double filled = 0;
+    for (const Eigen::Vector3d& block : blocks) {
+        if (block.z() == 0) continue;
+        sum += block.head<2>() * block.head<2>().transpose();
+        filled += 1;
+    }
+    if (filled < 8) return 1;
+    const double ratio = (fit.spread.inverse() * sum).trace() / 2 / std::max(1.0, fit.residual_variance);
+    return ratio * filled / (filled - 2);  // two parameters were fitted
 }
 
 /// Normal equations of one shift for several tiles.
@@ -171,6 +214,7 @@ TileShift align(const Contrast& b, const Tile& tile, const std::vector<Template>
         out.shift_mm += delta;
         if ((tile.J_a * delta).norm() < LAST_STEP_PX) {
             out.converged = true;
+            out.inflation = inflation(b, tile, pixels, out.shift_mm, fit);
             return out;
         }
     }

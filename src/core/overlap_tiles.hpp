@@ -29,6 +29,9 @@ struct TileShift {
     Eigen::Matrix2d covariance{Eigen::Matrix2d::Zero()};
     int pixels = 0;
     double correlation = 0;
+    /// How much larger the variance is than the covariance says, because residuals of neighbouring pixels belong
+    /// together (interpolation, highlights, depth noise); from blocks of CLUSTER_PX, noisy for a single tile.
+    double inflation = 1;
     bool converged = false;
 };
 

@@ -126,8 +126,10 @@ def measure_tile_shifts(
     textures = (*a.contrast, *b.contrast, pixels_b)
     start = _common_shift(textures, rows, size, gsd, thread_count(threads))
     found = _core.tile_shifts(*textures, rows, size, start[0], start[1], thread_count(threads))
-    shifts, covariances = found[:, :2], found[:, 2:6].reshape(-1, 2, 2)
     good = found[:, 8] > 0
+    # One factor for all tiles: that of a single tile, from some 30 blocks, is itself too noisy to weigh with.
+    inflation = max(1.0, float(found[good, 9].mean())) if good.any() else 1.0
+    shifts, covariances = found[:, :2], inflation * found[:, 2:6].reshape(-1, 2, 2)
     good &= found[:, 6] >= MIN_TILE_SHARE * size**2
     good &= np.linalg.norm(shifts - start, axis=1) <= MAX_RUN_PX * gsd
     best = np.linalg.eigvalsh(np.where(good[:, None, None], covariances, np.eye(2)))[:, 0]
@@ -154,7 +156,7 @@ def _tile_frames(
     v = (tiles[:, :1] * a.tile_size_px + offsets).astype(int)[:, :, None]
     u = (tiles[:, 1:] * a.tile_size_px + offsets).astype(int)[:, None, :]
     smooth = (a.surface.points_sensor[v, u], a.surface.tangents_sensor[v, u], distance_of_a[v, u][..., None])
-    samples = np.concatenate(smooth, -1).reshape(len(tiles), -1, 10)
+    samples = np.concatenate(smooth, -1).reshape(len(tiles), TILE_SAMPLES**2, 10)
     known = np.isfinite(samples).all(-1)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(known[..., None], samples, 0).sum(1, dtype=float) / known.sum(1)[:, None]

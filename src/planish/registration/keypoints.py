@@ -98,15 +98,16 @@ def _detect(image: TextureImage, options: KeypointOptions, count: int) -> Keypoi
     angle = np.deg2rad([k.angle for k in found])
     column, row = np.rint(xy).astype(int).T.reshape(2, -1)
     # A keypoint whose position cannot be interpolated stands at the rim of the surface.
-    inside = image.mask[row, column] & np.isfinite(_sample(image.source_px, xy)).all(1)
+    place = np.hstack([_sample(image.height_mm, xy), _sample(image.source_px, xy)])
+    inside = image.mask[row, column] & np.isfinite(place).all(1)
     # Strongest first; position breaks ties, so that the order does not depend on the detector's threads.
     response = np.array([k.response for k in found])
     order = np.lexsort((angle, xy[:, 0], xy[:, 1], -response))
     order = order[inside[order]][:count]
-    xy, size, angle, column, row = xy[order], size[order], angle[order], column[order], row[order]
+    xy, size, angle, place = xy[order], size[order], angle[order], place[order]
+    column, row = column[order], row[order]
 
-    height = _sample(image.height_mm, xy)[:, 0]
-    points_chart = np.column_stack([xy * image.pitch_mm, height])
+    points_chart = np.column_stack([xy * image.pitch_mm, place[:, 0]])
     normal = image.normal_chart[row, column].astype(float)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     direction = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
@@ -119,7 +120,7 @@ def _detect(image: TextureImage, options: KeypointOptions, count: int) -> Keypoi
         np.asarray(transform_points(T_sensor_chart, points_chart), float),
         T_sensor_chart[:3, :3] @ frames,
         size,
-        _sample(image.source_px, xy),
+        place[:, 1:],
         np.rint(descriptors[order]).astype(np.uint8),
     )
 

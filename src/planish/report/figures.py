@@ -21,7 +21,7 @@ from planish.report.style import INK, MUTED, colour, png, rgb
 TEXTURE_PX = 640
 GAP_PX = 16
 #: No more lines than this are drawn of each kind: they would cover the texture.
-MAX_LINES = 150
+MAX_LINES = 90
 #: Grey levels of the picture (texture is noise to the compressor: fewer levels, smaller file).
 GREY_LEVELS = 24
 #: Darkest and lightest grey of a texture: the lines must stand out.
@@ -63,7 +63,7 @@ def matches_png(pair: PairResult, a: Prepared, b: Prepared) -> bytes:
     canvas = _draw(canvas, pair.consensus_px, scales, CONSENSUS, 0.8)
     buffer = io.BytesIO()
     few = Image.fromarray(canvas).quantize(PALETTE_COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-    few.save(buffer, format="png", optimize=True)
+    few.save(buffer, format="png", compress_level=6)
     return buffer.getvalue()
 
 

@@ -44,7 +44,7 @@ class Layer:
 def overview_png(scene: Scene) -> bytes:
     """Return the picture of the largest group as PNG: three panels, orthographic, one scale."""
     items = scene.group(scene.groups[0])
-    T_view_world, pitch, size = _view(items)
+    T_view_world, pitch, size = view(items)
     layers = [_splat(item, T_view_world, pitch, size) for item in items]
     panels = [("measurements", _by_measurement(layers)), ("texture", _by_texture(layers))]
     has_error = any(np.isfinite(layer.error_mm).any() for layer in layers)
@@ -86,8 +86,8 @@ def _panels(count: int, ratio: float, colour_bar: bool) -> tuple[Figure, list[Ax
     return figure, axes, figure.add_axes((left / width, 0.42 / height, 0.6 * cell[0] / width, 0.1 / height))
 
 
-def _view(items: Sequence[Item]) -> tuple[Array, float, tuple[int, int]]:
-    """T_view_world (x right along the longest extent, y down, z away), pitch [mm per px] and size (rows, columns)."""
+def view(items: Sequence[Item]) -> tuple[Array, float, tuple[int, int]]:
+    """Return T_view_world (x right along the extent, y down, z away), pitch [mm per px] and size (rows, columns)."""
     samples = [item.thinned(16)[:2] for item in items]
     known = [np.isfinite(p).all(-1) & np.isfinite(n).all(-1) for p, n in samples]
     points = np.concatenate([p[k] for (p, _), k in zip(samples, known, strict=True)]).astype(float)
@@ -175,12 +175,15 @@ def _by_texture(layers: Sequence[Layer]) -> Picture:
 
 
 def _by_error(layers: Sequence[Layer], limit: float) -> Picture:
-    pictures = []
-    for layer in layers:
-        tone = diverging_map(Normalize(-limit, limit)(np.nan_to_num(layer.error_mm)))[..., :3]
-        tone = np.where(np.isfinite(layer.error_mm)[..., None], tone, rgb(NEUTRAL))
-        pictures.append(np.where(np.isfinite(layer.shade)[..., None], tone * (0.55 + 0.45 * _light(layer)), np.nan))
-    return _mean(layers, pictures)
+    """Later measurements on top: in an overlap the two see the same distance with opposite signs, a mean hides it."""
+    picture = np.ones((*layers[0].shade.shape, 3))
+    for with_error in (False, True):
+        for layer in layers:
+            tone = diverging_map(Normalize(-limit, limit)(np.nan_to_num(layer.error_mm)))[..., :3]
+            shaded = (tone if with_error else rgb(NEUTRAL)) * (0.55 + 0.45 * _light(layer))
+            seen = np.isfinite(layer.shade) & (np.isfinite(layer.error_mm) | (not with_error))
+            picture[seen] = shaded[seen].clip(0, 1)
+    return picture
 
 
 def _footprint(layer: Layer) -> NDArray[np.uint8]:

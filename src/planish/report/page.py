@@ -106,7 +106,7 @@ def _page(
         f'<p class="muted">{escape(_subtitle(registration))}</p>',
         f'<div class="summary {kind}">{summary}</div>',
         '<h2>Overview</h2>',
-        figure(pictures["overview.png"], "The largest group in its world, the sensor frame of its reference."),
+        figure(pictures["overview.png"], "The largest group, seen orthographically.", 860),
         measurements_section(registration, prepared),
         "<h2>3D view</h2>",
         view_section(registration),

@@ -10,6 +10,7 @@ import numpy as np
 from planish.evaluation import table
 from planish.registration.result import PairResult, Registration
 from planish.report import text
+from planish.report.figures import MAX_LINES
 from planish.report.html import figure, figure_name, html_table, name_tag
 
 #: Pairs shown with pictures inside the page; those of all others lie in `figures/` only.
@@ -35,11 +36,10 @@ def _pair(registration: Registration, pair: PairResult, pictures: Mapping[str, b
     ]
     matches = pictures.get(figure_name("matches", pair))
     if matches is not None:
-        caption = (
-            f"Texture of {pair.a} (left) and {pair.b} (right); orange: consensus, blue: other matches "
-            "(at most 150 of each)."
-        )
-        parts.append(figure(matches, caption))
+        caption = f"Texture of {pair.a} (left) and {pair.b} (right)"
+        if len(pair.matches_px):
+            caption += f"; orange: consensus, blue: other matches, at most {MAX_LINES} of each"
+        parts.append(figure(matches, caption + "."))
     parts.append('<div class="columns">')
     histogram = pictures.get(figure_name("histogram", pair))
     if histogram is not None:

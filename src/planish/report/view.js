@@ -11,6 +11,12 @@
     return { surfacecolor: trace.grey, colorscale: [[0, trace.colour], [1, trace.colour]] };
   }
 
+  const eye = data.camera.eye, up = data.camera.up;
+  const left = [up[1] * eye[2] - up[2] * eye[1], up[2] * eye[0] - up[0] * eye[2], up[0] * eye[1] - up[1] * eye[0]];
+  const [x, y, z] = [0, 1, 2].map((i) => 1e4 * (0.6 * eye[i] + 0.9 * up[i] - 0.6 * left[i]));
+  // plotly takes the normal of the grid's rows and columns, which points away from the camera that took them.
+  const light = { x: -x, y: -y, z: -z };
+
   function traces() {
     let bar = state.mode === "error";
     return data.traces.map((trace, i) => {
@@ -19,8 +25,10 @@
         visible: state.shown[i], showscale: false, connectgaps: false, hoverinfo: "name",
         contours: { x: { highlight: false }, y: { highlight: false }, z: { highlight: false } },
         lighting: state.mode === "measurement"
-          ? { ambient: 0.55, diffuse: 0.65, specular: 0.12, roughness: 0.6 }
+          ? { ambient: 0.5, diffuse: 0.75, specular: 0.1, roughness: 0.7 }
           : { ambient: 0.95, diffuse: 0.1, specular: 0.0 },
+        // From behind the viewer's left shoulder.
+        lightposition: light,
       }, colours(trace, state.mode));
       if (bar && state.shown[i]) {
         bar = false;

@@ -7,31 +7,40 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
+from planish.report.overview import view
 from planish.report.scene import Item, Scene
 from planish.report.style import DIVERGING, NEUTRAL, colour
 
 #: Most grid points per measurement: what a browser without graphics card still turns smoothly.
 MAX_POINTS = 25_000
-#: Colour index of points outside all overlaps; the others are 16 ... 255.
-OUTSIDE, FIRST = 0, 16
+#: Colour index of points outside all overlaps. It lies in the middle, between the smallest negative and the smallest
+#: positive error, because the browser blends the indices of neighbouring points: a jump must not cross other colours.
+OUTSIDE = 128
+NEGATIVE, POSITIVE = (0, 126), (130, 255)
 
 
 def view_data(scene: Scene) -> dict[str, Any]:
     """Return what `view.js` draws; arrays in plotly's base64 form, positions relative to the scene's centre."""
     traces = [_trace(item, scene.limit_mm) for item in scene.items]
-    step = (255 - FIRST) / (len(DIVERGING) - 1)
-    error_scale: list[tuple[float, str]] = [(0.0, NEUTRAL), ((FIRST - 1) / 255, NEUTRAL)]
-    error_scale += [((FIRST + i * step) / 255, tone) for i, tone in enumerate(DIVERGING)]
     return {
         "traces": traces,
         "groups": list(scene.groups),
         "limit_mm": scene.limit_mm,
-        "error_scale": error_scale,
-        "error_ticks": [FIRST, FIRST + 2 * step, 255],
-        "error_labels": [f"{v:+.3g}" for v in (-scene.limit_mm, 0.0, scene.limit_mm)],
+        "error_scale": _error_scale(),
+        "error_ticks": [NEGATIVE[0], OUTSIDE, POSITIVE[1]],
+        "error_labels": [f"−{scene.limit_mm:.3g}", "0", f"+{scene.limit_mm:.3g}"],
         "camera": _camera(scene),
     }
+
+
+def _error_scale() -> list[tuple[float, str]]:
+    """Colour scale of the error's indices, as plotly wants it: (position, colour)."""
+    low, middle, high = DIVERGING[:2], DIVERGING[2], DIVERGING[3:]
+    blue = [(NEGATIVE[1] * i / 2 / 255, tone) for i, tone in enumerate((*low, middle))]
+    red = [((POSITIVE[0] + (255 - POSITIVE[0]) * i / 2) / 255, tone) for i, tone in enumerate((middle, *high))]
+    return [*blue, ((OUTSIDE - 1) / 255, NEUTRAL), ((OUTSIDE + 1) / 255, NEUTRAL), *red]
 
 
 def grid_step(shape: tuple[int, int]) -> int:
@@ -48,25 +57,28 @@ def _trace(item: Item, limit_mm: float) -> dict[str, Any]:
     seen = grey[np.isfinite(grey)]
     low, high = np.quantile(seen, [0.01, 0.99]) if len(seen) else (0.0, 1.0)
     tone = np.nan_to_num((grey - low) / max(high - low, 1e-6)).clip(0, 1)
-    scaled = np.nan_to_num(error / (2 * limit_mm) + 0.5, nan=0.5).clip(0, 1)
-    quantised = np.where(np.isfinite(error), np.rint(FIRST + scaled * (255 - FIRST)), OUTSIDE)
-    # A NaN in x or y breaks the bounds of the view: only z says where there is a hole.
+    scaled = np.nan_to_num(error / limit_mm).clip(-1, 1)
+    quantised = np.where(
+        scaled < 0,
+        NEGATIVE[1] + scaled * (NEGATIVE[1] - NEGATIVE[0]),
+        POSITIVE[0] + scaled * (POSITIVE[1] - POSITIVE[0]),
+    )
+    quantised = np.where(np.isfinite(error), np.rint(quantised), OUTSIDE)
+    # Only z says where there is a hole: NaN in x or y breaks the bounds of the view, and places far away the shading.
     x, y, z = (points[..., i] for i in range(3))
+    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
+    x, y = (np.nan_to_num(values[tuple(nearest)]) for values in (x, y))
     return {
         "name": item.placed.name,
         "group": item.placed.group,
         "colour": colour(item.index),
         "points": int(item.prepared.measurement.valid.sum()),
-        "x": _array(np.where(known, x, _middle(x, known)).astype(np.float32)),
-        "y": _array(np.where(known, y, _middle(y, known)).astype(np.float32)),
+        "x": _array(x.astype(np.float32)),
+        "y": _array(y.astype(np.float32)),
         "z": _array(np.where(known, z, np.float32(np.nan)).astype(np.float32)),
         "grey": _array(np.rint(tone * 255).astype(np.uint8)),
         "error": _array(quantised.astype(np.uint8)),
     }
-
-
-def _middle(values: NDArray[np.float32], known: NDArray[np.bool_]) -> np.float32:
-    return np.float32(np.median(values[known])) if known.any() else np.float32(0)
 
 
 def _array(values: NDArray[Any]) -> dict[str, str]:
@@ -79,15 +91,6 @@ def _array(values: NDArray[Any]) -> dict[str, str]:
 
 
 def _camera(scene: Scene) -> dict[str, list[float]]:
-    """Viewing direction of the first view: onto the sensor's side of the largest group, a little from below."""
-    normals = []
-    for item in scene.group(scene.groups[0]):
-        n = item.thinned(16)[1].reshape(-1, 3)
-        normals.append(n[np.isfinite(n[:, 2])])
-    mean = np.concatenate(normals).astype(float).mean(0)
-    eye = mean / max(float(np.linalg.norm(mean)), 1e-9)
-    across = np.array([0.0, 1.0, 0.0]) if abs(eye[1]) < 0.8 else np.array([1.0, 0.0, 0.0])
-    up = across - (across @ eye) * eye
-    up /= np.linalg.norm(up)
-    eye = eye * 0.95 - up * 0.45
-    return {"eye": (1.2 * eye / np.linalg.norm(eye)).tolist(), "up": up.tolist()}
+    """Viewing direction of the first view: that of the overview picture."""
+    T_view_world, _, _ = view(scene.group(scene.groups[0]))
+    return {"eye": (-1.35 * T_view_world[2, :3]).tolist(), "up": (-T_view_world[1, :3]).tolist()}

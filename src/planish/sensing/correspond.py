@@ -49,7 +49,7 @@ def fundamental_matrix(own: Camera, other: Camera) -> Array:
 
 
 def undistortion_shifts(camera: Camera, threads: int) -> Map:
-    """Return for each pixel the shift (H, W, 2) [px] to its place without lens distortion; empty without one."""
+    """Return each pixel's shift (H, W, 2) [px] to its place without lens distortion; size 0 without distortion."""
     if not camera.distortion.any():
         return np.empty((0, 0, 2), np.float32)
     return _cached_shifts(camera.kernel_parameters.tobytes(), camera.size_px, threads)

@@ -7,6 +7,7 @@ fringes, so the second difference between three neighbouring pixels of a column 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -65,6 +66,14 @@ def estimate_noise(images: Sequence[GreyImage], layout: Layout, saturation: floa
     return _fit(np.concatenate(levels), np.concatenate(residuals))
 
 
+def estimate_image_noise(image: GreyImage) -> NoiseModel:
+    """Return the variance of a grey value of one image (H, W) alone, from second differences along columns.
+
+    An upper bound: the finest texture cannot be told from noise without a second image.
+    """
+    return _fit(*_sample([image], (0,), np.ones(1), full_scale([image])))
+
+
 def _contrasts(layout: Layout) -> list[tuple[tuple[int, ...], Array]]:
     """Image indices and weights whose weighted sum holds noise only, of the variance of one image."""
     found = []
@@ -99,8 +108,11 @@ def _sample(
             grey = images[index][np.minimum(starts + row, height - 1)].astype(np.float32)
             contrast += np.float32(w * share / np.sqrt(6)) * grey
             np.maximum(brightest, grey, out=brightest)
-            if row == 1:
-                level += grey / np.float32(len(indices))
+            # The grey level that the variance of the residual belongs to: each pixel by its share of it.
+            level += np.float32(share**2 / 6 / len(indices)) * grey
+    if np.all(weight > 0):
+        # Such a contrast is the image itself, and its own noise must not choose its bin: the pixels beside it do.
+        level = 0.5 * (np.roll(level, 1, axis=1) + np.roll(level, -1, axis=1))
     usable = brightest < saturation
     return level[usable], contrast[usable]
 
@@ -110,7 +122,7 @@ def _fit(level: Samples, residual: Samples) -> NoiseModel:
         return NoiseModel(1.0, 0.0)
     edges = np.linspace(level.min(), level.max() + 1e-6, LEVELS + 1)
     x, y, n = [], [], []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in itertools.pairwise(edges):
         members = (level >= low) & (level < high)
         count = int(members.sum())
         if count >= MIN_SAMPLES:

@@ -96,7 +96,7 @@ def _masked_lowpass(image: Map, known: NDArray[np.bool_], sigma_px: float) -> Ma
     smooth = lowpass(np.where(known, image, np.float32(0)))
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = np.where(density > 1e-3, smooth / density, np.float32(0))
-    return cv2.resize(ratio, (width, height), interpolation=cv2.INTER_LINEAR)
+    return cv2.resize(ratio, (width, height), interpolation=cv2.INTER_CUBIC)
 
 
 def _to_organising_grid(measurement: Measurement, value: Map, weight: Map) -> tuple[Map, Map]:
