@@ -196,15 +196,15 @@ def test_a_wall_thinner_than_the_samples_is_a_continuous_line():
     scene = make_scene("step", 3, scale=0.5, bits=16, grain=0.0, texture_density=0.0)
     scene = replace(scene, sensor=replace(scene.sensor, noise_factor=0, prnu=0, dust=0, projector_dust=0))
     image = render_capture(replace(scene, sequence=(scene.sequence[12],)), 0)["B"][0].astype(float)
-    columns = np.arange(image.shape[1])
-    # Light missing around x = 0, row by row: the wall hides a strip of 0.06 mm, a tenth of a pixel.
-    edge = np.nanargmin(np.abs(true_points(scene, 0, "B")[..., 0]), axis=1)
+    # Light missing around x = 0, row by row: 20 degrees to the side the wall is a dark strip of 0.07 mm, 0.11 px.
+    in_object = transform_points(scene.T_object_sensor[0], true_points(scene, 0, "B"))
+    edge = np.nanargmin(np.abs(in_object[..., 0]), axis=1)
     missing = []
     for v in range(60, 460):
-        near = np.abs(columns - edge[v]) <= 4
-        around = (np.abs(columns - edge[v]) <= 12) & ~near
-        smooth = np.polyval(np.polyfit(columns[around], image[v, around], 2), columns[near])
-        missing.append((1 - image[v, near] / smooth).sum())
+        distance = np.arange(-12, 13)
+        line, near = image[v, edge[v] + distance], np.abs(distance) <= 4
+        smooth = np.polyval(np.polyfit(distance[~near], line[~near], 2), distance)
+        missing.append((1 - line / smooth).sum())
     # One ray per sample would miss the wall or show it whole: zero or a quarter of a pixel.
-    assert 0.05 < np.mean(missing) < 0.15
-    assert np.std(missing) < 0.04
+    assert 0.07 < np.mean(missing) < 0.17
+    assert np.std(missing) < 0.05
