@@ -93,8 +93,9 @@ def _label(entry: Entry) -> str:
 
 
 def _write_png(path: Path, image: Images) -> None:
-    # Noise does not compress: the fastest level costs little space.
-    done, data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    # Noise never repeats: the search for repetitions would cost time and even space.
+    options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
+    done, data = cv2.imencode(".png", image, options)
     if not done:
         raise AssertionError(f"{path}: PNG encoding failed")
     try:
