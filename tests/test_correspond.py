@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from reference import sensing as reference
-from sequences import plane_points, small_rig
 
 from planish import _core
 from planish.geometry import compose, exp_so3, invert
@@ -12,6 +10,8 @@ from planish.rig import Camera
 from planish.sensing.correspond import Correspondences, correspond, undistortion_shifts
 from planish.sensing.decode import PhaseMap
 from planish.sensing.triangulate import triangulate
+from reference import sensing as reference
+from sequences import plane_points, small_rig
 
 #: A plane's position is no linear function of the pixel: what interpolation over one pixel leaves here [px].
 INTERPOLATION_PX = 2e-3
@@ -29,7 +29,9 @@ def phase_map(positions, sigma=SIGMA):
 
 
 def plane_maps(rig, tilt=(0.1, -0.05)):
-    return {name: phase_map(rig.projector.project(plane_points(cam, tilt))[..., 0]) for name, cam in rig.cameras.items()}
+    return {
+        name: phase_map(rig.projector.project(plane_points(cam, tilt))[..., 0]) for name, cam in rig.cameras.items()
+    }
 
 
 def visible(points, camera):

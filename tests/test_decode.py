@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from reference import sensing as reference
-from sequences import gray_entries, manifest, phase_entries, render
 
 from planish import _core
 from planish.measurement import REJECTIONS, NoiseModel
 from planish.sensing.decode import DecodeOptions, decode, decode_views
 from planish.sensing.sequence import read_layout
+from reference import sensing as reference
+from sequences import gray_entries, manifest, phase_entries, render
 
 #: Half a grey level of rounding in each of 4 steps at its worst, at an amplitude of 80 [projector px]:
 #: 2 / 4 * 0.5 * (|sin| + |cos| of four steps: 2 sqrt 2) / 80 * 20 / 2 pi.

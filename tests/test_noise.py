@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from sequences import manifest, phase_entries, render
 
 from planish.sensing.noise import estimate_image_noise, estimate_noise, full_scale
 from planish.sensing.sequence import read_layout
+from sequences import manifest, phase_entries, render
 
 OFFSET, SLOPE = 1.6, 0.03
 #: 70,000 samples in 24 bins give the variance within 1 %; rounding adds 1/12; the line's ends less.

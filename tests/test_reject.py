@@ -2,9 +2,6 @@
 
 import numpy as np
 import pytest
-from reference import sensing as reference
-from sequences import plane_points, small_rig
-from test_correspond import phase_map, plane_maps
 
 from planish import _core
 from planish.measurement import REJECTIONS
@@ -12,6 +9,9 @@ from planish.sensing.capture import Box
 from planish.sensing.correspond import correspond
 from planish.sensing.reject import RejectOptions, reject_edges, reject_points
 from planish.sensing.triangulate import triangulate
+from reference import sensing as reference
+from sequences import plane_points, small_rig
+from test_correspond import phase_map, plane_maps
 
 OPTIONS = RejectOptions()
 

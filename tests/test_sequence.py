@@ -1,10 +1,10 @@
 """What a sequence must hold, and how it is refused."""
 
 import pytest
-from sequences import gray_entries, manifest, phase_entries
 
 from planish.errors import InputError
 from planish.sensing.sequence import read_layout
+from sequences import gray_entries, manifest, phase_entries
 
 
 def test_periods_stand_from_the_longest_to_the_shortest_with_steps_in_order():
