@@ -163,7 +163,7 @@ def test_a_measurement_survives_its_file(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scene", ["plate", "cylinder", "pipe", "waves"])
-@pytest.mark.parametrize("noise", [0.5, 2.0])
+@pytest.mark.parametrize("noise", [0.5, 1.0, 2.0])
 def test_every_surface_and_noise_keeps_its_promise(tmp_path, scene, noise):
     what = make_scene(scene, 8, 1)
     what = replace(what, sensor=replace(what.sensor, noise_factor=noise))
@@ -174,4 +174,5 @@ def test_every_surface_and_noise_keeps_its_promise(tmp_path, scene, noise):
     error = along_ray(m, truth["points_sensor"].astype(float))[ok]
     assert ok.sum() >= SEEN_SHARE * truth["seen"].sum()
     assert robust_spread(error / m.sigma_mm[ok]) == pytest.approx(1.0, abs=0.05)
-    assert (np.abs(error) > OUTLIER_MM).mean() <= OUTLIER_SHARE
+    # The limit is for the reference noise: where the points scatter twice as much, so may they be off.
+    assert (np.abs(error) > OUTLIER_MM * max(noise, 1.0)).mean() <= OUTLIER_SHARE
