@@ -82,6 +82,20 @@ def test_islands_equal_their_numpy_twin():
     assert 0 < found.sum() < np.isfinite(depth).sum()
 
 
+def test_grazing_points_equal_their_numpy_twin():
+    rng = np.random.default_rng(6)
+    # A cylinder's flank: ever steeper to the right, with holes that are dark and holes that are not matched.
+    x = np.linspace(0, 0.9999, 80)
+    depth = (800 - 300 * np.sqrt(1 - x**2) + rng.normal(0, 0.05, (40, 80))).astype(np.float32)
+    lit = rng.random((40, 80)) > 0.1
+    depth[~lit | (rng.random((40, 80)) < 0.1)] = np.nan
+    sigma = np.full_like(depth, 0.05)
+    found = _core.grazing_points(depth, sigma, lit.view(np.uint8), 1 / 400, 4.0, 0.5, 3.0, 2)
+    expected = reference.grazing(depth.astype(float), 0.05, lit, 1 / 400, 4.0, 0.5, 3.0)
+    assert np.array_equal(found == 1, expected)
+    assert 0.05 < expected.mean() < 0.9
+
+
 def measured(volume=None):
     rig = small_rig()
     maps, (a, b) = plane_maps(rig), (rig.cameras["A"], rig.cameras["B"])

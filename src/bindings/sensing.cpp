@@ -17,6 +17,7 @@
 #include "core/correspond.hpp"
 #include "core/decode_gray.hpp"
 #include "core/decode_phase.hpp"
+#include "core/grazing.hpp"
 #include "core/image.hpp"
 #include "core/islands.hpp"
 #include "core/phase_edges.hpp"
@@ -229,6 +230,17 @@ nb::tuple projector_residual(const In<double>& projector, int axis, const In<dou
     return nb::make_tuple(residual, sigma);
 }
 
+Out<std::uint8_t> grazing_points(const In<float>& depth, const In<float>& sigma, const In<std::uint8_t>& lit,
+                                 float pixel_size, float max_slope, float rim_px, float sigmas, int threads) {
+    auto grazing = make_array<std::uint8_t>({depth.shape(0), depth.shape(1)});
+    const auto out = view(grazing);
+    const auto z = view(depth), s = view(sigma);
+    const auto l = view(lit);
+    nb::gil_scoped_release release;
+    planish::grazing_points(z, s, l, {pixel_size, max_slope, rim_px, sigmas}, threads, out);
+    return grazing;
+}
+
 Out<std::uint8_t> islands(const In<float>& depth, const In<float>& sigma, float depth_per_pixel, float sigmas,
                           int min_pixels) {
     auto small = make_array<std::uint8_t>({depth.shape(0), depth.shape(1)});
@@ -250,5 +262,6 @@ void bind_sensing(nb::module_& m) {
     m.def("correspond", &correspond);
     m.def("triangulate", &triangulate);
     m.def("projector_residual", &projector_residual);
+    m.def("grazing_points", &grazing_points);
     m.def("islands", &islands);
 }

@@ -169,4 +169,14 @@ def projector_residual(
     position_sigma: F32,
     threads: int,
 ) -> tuple[F32, F32]: ...
+def grazing_points(
+    depth: F32,
+    sigma: F32,
+    lit: U8,
+    pixel_size: float,
+    max_slope: float,
+    rim_px: float,
+    sigmas: float,
+    threads: int,
+) -> U8: ...
 def islands(depth: F32, sigma: F32, depth_per_pixel: float, sigmas: float, min_pixels: int) -> U8: ...

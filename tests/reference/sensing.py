@@ -83,6 +83,26 @@ def small_islands(depth, limit, least):
     return small
 
 
+def grazing(depth, sigma, lit, pixel_size, max_slope, rim_px, sigmas):
+    """Points of steep surfaces, and of rims whose depth depends on which part of the pixel is lit."""
+    padded = np.pad(depth, 1, constant_values=np.nan)
+    unlit = ~np.pad(lit, 1, constant_values=True)
+    square, rim = np.zeros(depth.shape), np.zeros(depth.shape, bool)
+    for axis in (0, 1):
+        cut = [slice(1, -1)] * 2
+        cut[axis] = slice(0, -2)
+        low, near = padded[tuple(cut)], unlit[tuple(cut)]
+        cut[axis] = slice(2, None)
+        high, far = padded[tuple(cut)], unlit[tuple(cut)]
+        both = 0.5 * (high - low)
+        one = np.where(np.isnan(low), high - depth, depth - low)
+        square += np.nan_to_num(np.where(np.isnan(both), one, both)) ** 2
+        rim |= near | far
+    change = np.sqrt(square)
+    steep = change > max_slope * pixel_size * depth
+    return np.isfinite(depth) & (steep | (rim & (rim_px * change > sigmas * sigma)))
+
+
 def edges_of_row(p, limit):
     """Pixels beside a jump of one line: a difference that fewer than two of its four neighbours resemble."""
     d = np.diff(p)

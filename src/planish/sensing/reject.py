@@ -16,6 +16,9 @@ from planish.sensing.triangulate import TriangulatedPoints
 
 Mask = NDArray[np.bool_]
 
+#: The lit part of a pixel lies at most so far from its centre [px].
+RIM_PX = 0.5
+
 
 class RejectOptions(Options):
     """Options of rejection.
@@ -32,6 +35,11 @@ class RejectOptions(Options):
         Disagreement with the projector's calibration that is allowed on top of noise.
     max_tilt_deg : float
         Steepest surface, against the line of sight, whose neighbouring pixels still count as connected.
+    max_incidence_deg : float
+        Surfaces seen more obliquely (angle of ray and normal) are rejected: a pixel covers a range of depths there.
+    rim_sigmas : float
+        Points beside an unlit pixel are rejected where half a pixel more or less would move them by more than so many
+        standard deviations: the unlit part of a pixel shifts what it looks at.
     min_island_pixels : int
         Connected regions with fewer pixels are rejected.
     """
@@ -41,6 +49,8 @@ class RejectOptions(Options):
     max_miss_px: float = Field(default=1.0, gt=0)
     projector_px: float = Field(default=1.0, ge=0)
     max_tilt_deg: float = Field(default=85.0, gt=0, lt=90)
+    max_incidence_deg: float = Field(default=80.0, gt=0, lt=90)
+    rim_sigmas: float = Field(default=3.0, gt=0)
     min_island_pixels: int = Field(default=50, ge=1)
 
 
@@ -92,7 +102,13 @@ def reject_points(
     depth = _distance(points, own)
     depth[rejected != 0] = np.nan
     # A pixel is 1 / f of the distance wide; a surface tilted by t changes its distance by tan t of that.
-    per_pixel = float(np.tan(np.radians(options.max_tilt_deg)) / min(own.K[0, 0], own.K[1, 1]))
+    pixel_size = 1 / float(min(own.K[0, 0], own.K[1, 1]))
+    lit = np.isfinite(phase.position_px).view(np.uint8)
+    steepest = float(np.tan(np.radians(options.max_incidence_deg)))
+    grazing = _core.grazing_points(depth, sigma, lit, pixel_size, steepest, RIM_PX, options.rim_sigmas, threads)
+    _mark(rejected, grazing.view(np.bool_), "edge")
+    depth[rejected != 0] = np.nan
+    per_pixel = float(np.tan(np.radians(options.max_tilt_deg)) * pixel_size)
     small = _core.islands(depth, sigma, per_pixel, options.sigmas, options.min_island_pixels)
     _mark(rejected, small.view(np.bool_), "isolated")
     return rejected
