@@ -21,9 +21,6 @@ from planish.options import thread_count
 from planish.registration.surface import Surface
 from planish.registration.tiles import held_out, tile_size_px
 
-#: Half the window of the surface fit [px]: a constant fit over n pixels has 1/n of a pixel's variance.
-_WINDOW = 7
-
 
 @dataclass(frozen=True)
 class JointSide:
@@ -65,8 +62,10 @@ def joint_side(
     smooth = smooth_texture(value, known, smoothing_px)
     gradient = _core.tangential_gradient(smooth, surface.tangents_sensor, thread_count(threads))
     use = np.ones(measurement.shape, bool) if use is None else use
+    # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
+    points = np.where(np.isfinite(surface.points_sensor), measurement.points_sensor, np.float32(np.nan))
     maps = (
-        surface.points_sensor,
+        points,
         surface.normals_sensor,
         smooth,
         gradient,
@@ -123,13 +122,13 @@ class Weights:
     def from_residuals(cls, equations: Equations, smoothing_px: float) -> Weights:
         """Robust scales from residual maps (1.4826 MAD), and from them the weight of a raw pixel's information.
 
-        Smoothed residuals of neighbours are correlated; a sum over all pixels carries the information of the raw ones.
-        Noise behind a Gaussian of s px has 1 / (4 pi s^2) of its variance, behind a plane fit 1 / window^2.
+        Neighbouring values of the smoothed texture are correlated; the sum over all pixels carries the information of
+        the raw ones. Noise behind a Gaussian of s px has 1 / (4 pi s^2) of its variance.
         """
         s_d = max(_mad(equations.distances), 1e-5)
         s_t = max(_mad(equations.differences), 1e-6)
         raw_texture = s_t**2 * max(1.0, 4 * np.pi * smoothing_px**2)
-        return cls(s_d, s_t, 1 / (s_d**2 * _WINDOW**2), 1 / raw_texture)
+        return cls(s_d, s_t, 1 / s_d**2, 1 / raw_texture)
 
 
 def _mad(values: Map) -> float:
