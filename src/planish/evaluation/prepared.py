@@ -49,7 +49,7 @@ class Prepared:
     @cached_property
     def contrast(self) -> tuple[Map, Map]:
         """Local contrast of the texture and its standard deviation, each (H, W) float32; NaN where unknown."""
-        return self._contrast or local_contrast(self.measurement)
+        return self._contrast or local_contrast(self.measurement, surface=self.surface)
 
     @cached_property
     def gsd_mm(self) -> float:

@@ -79,7 +79,7 @@ def prepare(
     """Return surface, texture images, keypoints and refinement maps of one measurement."""
     options = options or PairOptions()
     surface = fit_surface(measurement, options.surface, threads)
-    contrast = local_contrast(measurement, options.photometric)
+    contrast = local_contrast(measurement, options.photometric, surface, threads)
     images = texture_images(measurement, surface, contrast, pitch_mm, options.charts)
     keypoints = detect_keypoints(images, options.keypoints)
     kept = ~held_out_pixels(measurement)

@@ -17,11 +17,11 @@ class RefineOptions(Options):
     """Options of the joint refinement."""
 
     #: Standard deviation of the Gaussian on the texture per level, coarse to fine [px].
-    smoothing_px: tuple[float, ...] = (4.0, 1.6, 0.8)
+    smoothing_px: tuple[float, ...] = (2.0, 0.8)
     #: Every n-th pixel per level.
-    stride: tuple[int, ...] = (3, 2, 1)
+    stride: tuple[int, ...] = (2, 1)
     #: Surfaces farther apart than this do not belong together, per level [mm].
-    max_distance_mm: tuple[float, ...] = (3.0, 1.5, 1.0)
+    max_distance_mm: tuple[float, ...] = (2.0, 1.0)
     #: Largest angle between the normals of the two surfaces [rad].
     max_normal_rad: float = Field(default=0.35, gt=0, lt=1.5)
     #: Most steps per level.
