@@ -21,14 +21,10 @@ class Outcome:
 
 
 def planish(*arguments: object) -> Outcome:
-    """Run `planish ARGUMENTS`."""
-    from planish import cli
-
+    """Run `planish ARGUMENTS`; messages of the console follow the redirected streams."""
     old_argv, old_handler = sys.argv, signal.getsignal(signal.SIGINT)
     sys.argv = ["planish", *map(str, arguments)]
     out, err = io.StringIO(), io.StringIO()
-    old_file = cli.console.file
-    cli.console.file = err
     code = 0
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -37,6 +33,5 @@ def planish(*arguments: object) -> Outcome:
         code = stop.code if isinstance(stop.code, int) else 1
     finally:
         sys.argv = old_argv
-        cli.console.file = old_file
         signal.signal(signal.SIGINT, old_handler)
     return Outcome(code, out.getvalue(), err.getvalue())

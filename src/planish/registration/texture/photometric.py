@@ -1,9 +1,9 @@
 """Local contrast: the texture without what belongs to light, shape and sensor, with its noise.
 
 A camera sees I = albedo * (projector's light * cos(incidence) / distance^2 + room light) + highlight. The projector's
-part follows from the known geometry and is divided out; what is left of fall-off, room light and exposure changes slowly
-over the surface, so I / expected, over its own low-pass, minus 1 is the relative deviation of the albedo from its
-surroundings, whatever the light. Highlights depend on the direction of view: where one camera is brighter than the
+part follows from the known geometry and is divided out. What is left of fall-off, room light and exposure changes
+slowly over the surface, so I / expected, over its own low-pass, minus 1 is the relative deviation of the albedo from
+its surroundings, whatever the light. Highlights depend on the direction of view: where one camera is brighter than the
 other says, it counts less. Image kinds (mean of the fringe images, white) and cameras are combined by their noise on
 the organising camera's grid; the other camera is read at the measured correspondence.
 """
