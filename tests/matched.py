@@ -16,7 +16,7 @@ def frames(rng, n, normal_rad=0.0):
     turned = [exp_so3([0, 0, angle]) for angle in rng.uniform(-np.pi, np.pi, n)]
     tilted = [exp_so3([*tilt, 0]) for tilt in normal_rad * rng.standard_normal((n, 2))]
     facing = np.diag([1.0, -1.0, -1.0])
-    return np.array([tilt @ facing @ turn for tilt, turn in zip(tilted, turned, strict=True)])
+    return np.array([tilt @ facing @ turn for tilt, turn in zip(tilted, turned, strict=True)]).reshape(-1, 3, 3)
 
 
 def places(rng, n, extent_mm=(300.0, 250.0)):
