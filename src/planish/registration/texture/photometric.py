@@ -38,7 +38,11 @@ def local_contrast(measurement: Measurement, options: PhotometricOptions | None 
         Its standard deviation from camera noise.
     """
     options = options or PhotometricOptions()
-    shading_px = options.shading_mm / ground_sample_distance(measurement)
+    gsd = ground_sample_distance(measurement)
+    if not np.isfinite(gsd):
+        nothing = np.full(measurement.shape, np.nan, np.float32)
+        return nothing, nothing.copy()
+    shading_px = options.shading_mm / gsd
     total = np.zeros(measurement.shape, np.float32)
     weights = np.zeros(measurement.shape, np.float32)
     for name in measurement.texture_views:
