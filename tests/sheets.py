@@ -68,7 +68,9 @@ def noisy(m, seed, factor=1.0):
 @cache
 def pair(bend=BENT, contrast=0.03, seed=1):
     """Two prepared measurements, T_a_b = T_TRUE."""
-    return tuple(prepare(noisy(quiet(side, bend, contrast), seed + i), PITCH_MM, threads=2) for i, side in enumerate("ab"))
+    return tuple(
+        prepare(noisy(quiet(side, bend, contrast), seed + i), PITCH_MM, threads=2) for i, side in enumerate("ab")
+    )
 
 
 def errors_mm(T_hat, T_true, points_b):

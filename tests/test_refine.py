@@ -24,8 +24,8 @@ SUM_TOLERANCE = 1e-4
 #: On planes the distance is linear in xi: what is left is the rounding of float32 points over the step.
 DISTANCE_JACOBIAN_TOLERANCE = 1e-3
 #: The texture's Jacobian is the mean of both sides' gradients, 0.1 mm apart here in a texture smoothed by 5 mm; the
-#: look-up's own derivative is that of one side.
-TEXTURE_JACOBIAN_TOLERANCE = 0.02
+#: look-up's own derivative is that of one side. Central differences and linear look-up keep 98 % of such a gradient.
+TEXTURE_JACOBIAN_TOLERANCE = 0.04
 #: 1 mm and 0.3 degrees off, about the centre of the overlap.
 START = np.array([0.004, -0.003, 0.002, 0.6, -0.7, 0.4])
 #: float32 points carry 6e-5 mm; other sensor coordinates round them otherwise, 50,000 of them average it.
@@ -35,7 +35,14 @@ SCALE = np.array([LEVER_MM] * 3 + [1.0] * 3)
 
 
 def at(a, b, T, about, weights=None, **changes):
-    settings = {"max_distance_mm": 3.0, "max_normal_rad": 0.35, "stride": 1, "tile_px": 8, "residuals": True, "threads": 2}
+    settings = {
+        "max_distance_mm": 3.0,
+        "max_normal_rad": 0.35,
+        "stride": 1,
+        "tile_px": 8,
+        "residuals": True,
+        "threads": 2,
+    }
     return equations(a, b, T, about, weights, **{**settings, **changes})
 
 
@@ -78,6 +85,14 @@ def test_residuals_and_normal_equations_are_those_of_the_definition(bent):
     mean = (J_a + J_b) / 2
     close(found.H_texture, (mean * w_t[:, None]).T @ mean)
     close(found.g_texture, mean.T @ (w_t * t))
+    step = 1e-5
+    for r, scale, slope in (
+        (d, weights.scale_distance_mm, found.slope_distance),
+        (t, weights.scale_texture, found.slope_texture),
+    ):
+        influence = [x * reference.tukey(x, scale) for x in (r + step * scale, r - step * scale)]
+        derivative = (influence[0] - influence[1]) / (2 * step * scale)
+        assert slope == pytest.approx(derivative.sum() / reference.tukey(r, scale).sum(), rel=1e-3)
     cross = (J_a * w_t[:, None]).T @ J_b
     close(found.H_texture_unbiased, (cross + cross.T) / 2)
     assert found.cost == pytest.approx(w_d @ d**2 + w_t @ t**2, rel=1e-3)
@@ -92,7 +107,7 @@ def close(found, expected):
 def test_the_gradients_of_the_tiles_add_up_to_the_whole(bent):
     a, b = (side.fit_sides[1.6] for side in bent)
     found = at(a, b, sheets.T_TRUE, np.zeros(3), Weights(0.01, 1.5, 700.0, 0.8))
-    np.testing.assert_allclose(found.tile_gradients.sum(0), found.g_distance + found.g_texture, rtol=1e-9)
+    np.testing.assert_allclose(found.tile_gradients.sum((0, 1)), found.g_distance + found.g_texture, rtol=1e-9)
 
 
 def test_held_out_pixels_take_no_part(bent):
@@ -137,18 +152,27 @@ def test_the_jacobian_of_the_texture_is_its_derivative():
     about = np.array([10.0, 10.0, 0.0])
     T = perturb(np.eye(4), [0, 0, 0.001, 0.1, -0.05, 0], about)
     J, r = jacobian(a, b, T, about, "differences", 0.1)
-    found, in_plane = at(a, b, T, about), np.array([2, 3, 4])
+    found, in_plane = at(a, b, T, about), (2, 3, 4)
     for H in (found.H_texture, found.H_texture_unbiased):
         agree(H, found.g_texture, J, r, TEXTURE_JACOBIAN_TOLERANCE, in_plane)
 
 
-def agree(H, g, J, r, tolerance, motions=np.arange(6)):
+def agree(H, g, J, r, tolerance, motions=range(6)):
+    motions = list(motions)
     chosen = np.ix_(motions, motions)
     H_expected, g_expected = J.T @ J, J.T @ r
     limit = tolerance * np.abs(H_expected[chosen]).max()
     np.testing.assert_allclose((H / np.outer(SCALE, SCALE))[chosen], H_expected[chosen], atol=limit)
     limit = tolerance * np.abs(g_expected[motions]).max()
     np.testing.assert_allclose((g / SCALE)[motions], g_expected[motions], atol=limit)
+
+
+def test_noise_of_the_normals_inflates_only_the_plain_information():
+    """A noisy plane says nothing about motions along itself."""
+    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0), seed), sheets.PITCH_MM).sides[0.8] for seed in (1, 2))
+    found = at(a, b, np.eye(4), np.zeros(3))
+    assert abs(found.H_distance_unbiased[3, 3]) < 0.1 * found.H_distance[3, 3]
+    assert found.H_distance_unbiased[5, 5] == pytest.approx(found.H_distance[5, 5], rel=1e-4)
 
 
 def test_the_gradient_noise_inflates_only_the_plain_information():

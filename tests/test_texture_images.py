@@ -18,8 +18,8 @@ from reference import chart as reference
 
 #: float32 barycentric weights of triangles about a pixel wide.
 RASTER_TOLERANCE = 2e-4
-#: A plane fit over +-3 px of 1.3 mm, more where it is foreshortened, cuts the bent sheet (curvature 1/800 and 1/1600 per
-#: mm) by half the curvature times the mean square distance: 0.006 mm in the middle, up to three times that at the rim.
+#: A plane fit over +-3 px of 1.3 mm, more where it is foreshortened, cuts the bent sheet (curvature 1/800 and 1/1600
+#: per mm) by half the curvature times the mean square distance: 0.006 mm in the middle, three times that at the rim.
 SURFACE_TOLERANCE_MM = 0.02
 #: A linear interpolation between pixels of a projection that is nearly linear.
 PIXEL_TOLERANCE = 5e-3
