@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 
@@ -38,6 +40,21 @@ def height(x: Array, y: Array, bend: float) -> Array:
     return -0.5 * bend * x**2 - 0.25 * bend * y**2
 
 
+@lru_cache(maxsize=2)
+def _blurred(texture_id: int, sigma: float) -> Array:
+    return cv2.GaussianBlur(_TEXTURES[texture_id].astype(np.float32), (0, 0), sigma)
+
+
+#: Textures by id, kept so that an id stays unique: one texture is blurred once for all measurements of it.
+_TEXTURES: dict[int, Array] = {}
+
+
+def _as_seen(texture: Array, scale: float) -> Array:
+    """The texture averaged over a pixel's footprint."""
+    _TEXTURES[id(texture)] = texture
+    return _blurred(id(texture), 0.6 * 0.32 / scale / RASTER_PITCH_MM)
+
+
 def measurement(
     T_object_sensor: Array,
     texture: Array,
@@ -51,7 +68,7 @@ def measurement(
     prnu: Array | None = None,
     seed: int = 0,
 ) -> Measurement:
-    """Measure the sheet: exact ray intersection (fixed-point to 1e-9 mm), point noise along the ray, image noise."""
+    """Measure the sheet: exact ray intersection (1e-10 of the ray), point noise along the ray, image noise."""
     noise = noise or NoiseModel(1.44, 1 / 40)
     cam = camera(scale)
     width, rows = cam.size_px
@@ -62,16 +79,16 @@ def measurement(
     t = (0 - centre[2]) / rays[..., 2]
     for _ in range(60):
         p = centre + t[..., None] * rays
-        step = (height(p[..., 0], p[..., 1], bend) - p[..., 2]) / rays[..., 2]
-        t += step
+        # Newton's method along the ray on height(x, y) - z.
+        slope = -bend * p[..., 0] * rays[..., 0] - 0.5 * bend * p[..., 1] * rays[..., 1] - rays[..., 2]
+        step = (height(p[..., 0], p[..., 1], bend) - p[..., 2]) / slope
+        t -= step
         if np.abs(step).max() < 1e-10:
             break
     p = centre + t[..., None] * rays
     column = ((p[..., 0] + RASTER_MM) / RASTER_PITCH_MM).astype(np.float32)
     row = ((p[..., 1] + RASTER_MM) / RASTER_PITCH_MM).astype(np.float32)
-    # Area average over the pixel's footprint.
-    blurred = cv2.GaussianBlur(texture.astype(np.float32), (0, 0), 0.6 * 0.32 / scale / RASTER_PITCH_MM)
-    image = grey * cv2.remap(blurred, column, row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    image = grey * cv2.remap(_as_seen(texture, scale), column, row, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     if prnu is not None:
         image = image * prnu
     image = image + rng.standard_normal(image.shape) * np.sqrt(noise.variance(image) / 12)

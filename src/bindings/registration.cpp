@@ -89,12 +89,12 @@ Out<double, 2> matrix6(const planish::Matrix6& value) {
 nb::tuple normal_equations(const planish::Normal& n) {
     Owned<double> g(1, 6, 1);
     std::copy_n(n.g.data(), 6, g.image.data);
-    return nb::make_tuple(matrix6(n.H), g.map(), n.cost, n.count);
+    return nb::make_tuple(matrix6(n.H), g.map(), n.cost, n.count, n.weights > 0 ? n.slopes / n.weights : 1.0);
 }
 
 /// Maps a, camera a, maps b: see planish::JointMaps. Returns normal equations of distance and texture, the unbiased
-/// texture information, correlation, number of conflicts, tile gradients (tiles, 6) and, if asked for, the residual
-/// maps.
+/// information of both, correlation, number of conflicts, tile gradients (rows, columns, 6) and, if asked for, the
+/// residual maps.
 nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
                                  const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
                                  bool with_residuals, int threads) {
@@ -120,14 +120,14 @@ nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& c
                                                  with_residuals ? distances.image : none,
                                                  with_residuals ? differences.image : none);
     }
-    Owned<double> tiles(static_cast<int>(result.tile_gradients.size()), 6, 1);
+    Owned<double> tiles(result.tile_rows, result.tile_columns, 6);
     for (std::size_t i = 0; i < result.tile_gradients.size(); ++i)
-        std::copy_n(result.tile_gradients[i].data(), 6, tiles.image.row(static_cast<int>(i)));
+        std::copy_n(result.tile_gradients[i].data(), 6, tiles.image.data + 6 * i);
     const auto& s = result.sums;
     const double norm = std::sqrt(s.correlation_aa * s.correlation_bb);
-    return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_texture_unbiased),
-                          norm > 0 ? s.correlation_ab / norm : 0.0, s.conflicts, tiles.map(), distances.map(),
-                          differences.map());
+    return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_distance_unbiased),
+                          matrix6(s.H_texture_unbiased), norm > 0 ? s.correlation_ab / norm : 0.0, s.conflicts,
+                          tiles.maps(), distances.map(), differences.map());
 }
 
 Out<float, 3> tangential_gradient(const In<float, 2>& texture, const In<float, 3>& tangents, int threads) {

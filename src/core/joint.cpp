@@ -14,8 +14,11 @@ JointSums& JointSums::operator+=(const JointSums& other) {
         mine->H += theirs->H;
         mine->g += theirs->g;
         mine->cost += theirs->cost;
+        mine->weights += theirs->weights;
+        mine->slopes += theirs->slopes;
         mine->count += theirs->count;
     }
+    H_distance_unbiased += other.H_distance_unbiased;
     H_texture_unbiased += other.H_texture_unbiased;
     correlation_ab += other.correlation_ab;
     correlation_aa += other.correlation_aa;
@@ -26,11 +29,16 @@ JointSums& JointSums::operator+=(const JointSums& other) {
 
 namespace {
 
+struct Influence {
+    double weight;  ///< psi(r) / r
+    double slope;   ///< psi'(r)
+};
+
 /// Tukey's biweight: 1 at 0, 0 from 4.685 scales on (95 % efficiency under normal noise, Holland and Welsch 1977).
-double tukey(double residual, double scale) {
-    const double x = residual / (4.685 * scale);
-    const double y = 1.0 - x * x;
-    return y > 0 ? y * y : 0.0;
+Influence tukey(double residual, double scale) {
+    const double x = residual / (4.685 * scale), xx = x * x;
+    const double y = 1.0 - xx;
+    return y > 0 ? Influence{y * y, y * (1.0 - 5.0 * xx)} : Influence{0, 0};
 }
 
 struct Cell {
@@ -115,8 +123,13 @@ void Problem::pixel(int v, int u, JointSums& sums, Vector6& tile) const {
         return;
     }
     const Vector6 J = jacobian(x - about, (normal_a + normal_b).normalized());
-    const double w = o.weight_distance * tukey(distance, o.scale_distance);
+    const Influence influence = tukey(distance, o.scale_distance);
+    const double w = o.weight_distance * influence.weight;
+    sums.distance.weights += influence.weight;
+    sums.distance.slopes += influence.slope;
     sums.distance.H.noalias() += w * J * J.transpose();
+    const Vector6 J_a = jacobian(x - about, normal_a), J_b = jacobian(x - about, normal_b);
+    sums.H_distance_unbiased.noalias() += 0.5 * w * (J_a * J_b.transpose() + J_b * J_a.transpose());
     const Vector6 g = w * distance * J;
     sums.distance.g += g;
     tile += g;
@@ -139,7 +152,10 @@ void Problem::add_texture(int v, int u, const Eigen::Vector2d& at, const Cell& c
     const double r = (value_a - value_b) / sigma;
     const Vector6 J_a = jacobian(x - about, gradient_a / sigma), J_b = jacobian(x - about, gradient_b / sigma);
     const Vector6 J = 0.5 * (J_a + J_b);
-    const double w = o.weight_texture * tukey(r, o.scale_texture);
+    const Influence influence = tukey(r, o.scale_texture);
+    const double w = o.weight_texture * influence.weight;
+    sums.texture.weights += influence.weight;
+    sums.texture.slopes += influence.slope;
     sums.texture.H.noalias() += w * J * J.transpose();
     sums.H_texture_unbiased.noalias() += 0.5 * w * (J_a * J_b.transpose() + J_b * J_a.transpose());
     const Vector6 g = w * r * J;

@@ -33,19 +33,20 @@ struct JointOptions {
     int tile;                ///< edge of a tile of b [px]; multiple of stride
 };
 
-/// Normal equations of one kind of residual: H = J'WJ, g = J'Wr.
+/// Normal equations of one kind of residual: H = J'WJ, g = J'Wr. `weights` and `slopes` are the sums of the robust
+/// weights psi(r) / r and of psi'(r): g changes by slopes / weights of H.
 struct Normal {
     Matrix6 H = Matrix6::Zero();
     Vector6 g = Vector6::Zero();
-    double cost = 0;
+    double cost = 0, weights = 0, slopes = 0;
     std::int64_t count = 0;
 };
 
 struct JointSums {
     Normal distance, texture;
-    /// Information of the texture from the product of both gradients, whose noises are independent: unlike H of
-    /// `texture` it is not inflated by the noise of the gradients.
-    Matrix6 H_texture_unbiased = Matrix6::Zero();
+    /// Information from the product of both sides' normals or gradients, whose noises are independent: unlike H of
+    /// `distance` and `texture` it is not inflated by that noise.
+    Matrix6 H_distance_unbiased = Matrix6::Zero(), H_texture_unbiased = Matrix6::Zero();
     double correlation_ab = 0, correlation_aa = 0, correlation_bb = 0;
     std::int64_t conflicts = 0;  ///< points of b that should hide or pierce the surface of a
     JointSums& operator+=(const JointSums& other);
@@ -53,7 +54,8 @@ struct JointSums {
 
 struct JointResult {
     JointSums sums;
-    std::vector<Vector6> tile_gradients;  ///< J'Wr of both kinds per tile of b, for the clustered covariance
+    std::vector<Vector6>
+        tile_gradients;  ///< J'Wr of both kinds per tile of b, row by row, for the clustered covariance
     int tile_rows = 0, tile_columns = 0;
 };
 

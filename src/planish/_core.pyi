@@ -46,7 +46,7 @@ def find_consensus(
 ) -> tuple[F64, NDArray[np.int32]]: ...
 
 _Maps = tuple[F32, F32, F32, F32, F32, NDArray[np.uint8]]
-_Normal = tuple[F64, F64, float, int]
+_Normal = tuple[F64, F64, float, int, float]
 
 def joint_normal_equations(
     maps_a: _Maps,
@@ -57,7 +57,7 @@ def joint_normal_equations(
     options: tuple[float, float, float, float, float, float, int, int],
     with_residuals: bool,
     threads: int,
-) -> tuple[_Normal, _Normal, F64, float, int, F64, F32, F32]: ...
+) -> tuple[_Normal, _Normal, F64, F64, float, int, F64, F32, F32]: ...
 
 # Evaluation
 def look_up_distance(

@@ -95,7 +95,7 @@ def register_pair(
     options = options or PairOptions()
     matches = match(a.keypoints, b.keypoints, options.match, threads)
     coarse, still_share = _moving_consensus(a, b, matches, options, threads)
-    centre_b = np.nanmean(b.surface.points_sensor[::8, ::8].reshape(-1, 3).astype(float), axis=0)
+    centre_b = b.keypoints.points_sensor.mean(0) if len(b.keypoints) else np.zeros(3)
     other = runner_up(coarse, centre_b, pairs_in_run)
     judgement = judge_coarse(coarse, other, still_share, pairs_in_run, options.verdict)
     best = coarse.candidates[0] if coarse.candidates else None

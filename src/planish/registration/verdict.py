@@ -55,14 +55,14 @@ def log10_false_alarms(places: int, all_places: int, chance: float, pairs_in_run
     """
     if places < 3:
         return float(np.log10(max(pairs_in_run, 1) * max(all_places, 2) ** 2 / 2))
+    # Places are counted greedily: few of all can be fewer than those of a part of them.
+    all_places = max(all_places, places)
     n, k = all_places - 2, places - 2
     tests = np.log10(pairs_in_run) + np.log10(all_places * (all_places - 1) / 2)
     return float(tests + _log10_binomial_tail(k, n, chance))
 
 
 def _log10_binomial_tail(k: int, n: int, p: float) -> float:
-    if k > n:
-        k = n
     tail = betainc(k, n - k + 1, p)  # P(X >= k) = I_p(k, n - k + 1)
     if tail > 1e-280:
         return float(np.log10(tail))

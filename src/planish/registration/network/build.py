@@ -48,7 +48,8 @@ def build_network(
     """
     options = options or NetworkOptions()
     centroids = {node.name: node.centroid_sensor for node in nodes}
-    pairs = list(pairs)
+    # Sums must not depend on the order in which the pairs come.
+    pairs = sorted(pairs, key=lambda pair: (pair.a, pair.b))
     groups, placed = [], []
     by_name = {node.name: node for node in nodes}
     for number, names in enumerate(find_groups(list(by_name), pairs)):

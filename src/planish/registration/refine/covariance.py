@@ -13,24 +13,42 @@ OBSERVABLE_MM = 1.0
 
 
 def noise_covariance(refined: Refined) -> Array:
-    """Return the covariance (6, 6) of xi from the scatter of the tiles' gradients.
+    """Return the covariance (6, 6) of xi [rad, mm] from the scatter of the tiles' gradients.
 
-    The gradient of the cost is a sum over tiles of about 10 mm; residuals are correlated within a tile (interpolation,
-    smoothing, window of the surface fit) but hardly between tiles. The covariance H^-1 (sum of g_tile g_tile') H^-1
-    with tiles as clusters (White 1980; Liang and Zeger 1986) needs no model of that correlation. H takes the
-    texture's information free of gradient noise.
+    The gradient of the cost is a sum over tiles of about 10 mm; residuals are correlated within a tile and, by the
+    window of the surface fit and the smoothing of the texture, over its border. The covariance H^-1 M H^-1, M the
+    scatter of the tiles' gradients (White 1980; Liang and Zeger 1986), needs no model of that correlation. H is the
+    derivative of the robust gradient (Huber 1981, section 6.4), free of the noise of normals and texture gradients.
     """
     e = refined.equations
-    g = e.tile_gradients[np.any(e.tile_gradients != 0, axis=1)]
     scale = np.array([refined.lever_mm] * 3 + [1.0] * 3)
-    H = (e.H_distance + e.H_texture_unbiased) / np.outer(scale, scale)
-    g = g / scale
-    n = len(g)
-    # n / (n - 6): six parameters were fitted to these gradients (HC1, MacKinnon and White 1985).
-    meat = g.T @ g * n / max(n - 6, 1)
+    H = (e.slope_distance * e.H_distance_unbiased + e.slope_texture * e.H_texture_unbiased) / np.outer(scale, scale)
     inverse = _inverse_where_held(H)
-    C = inverse @ meat @ inverse
+    C = inverse @ _gradient_scatter(e.tile_gradients / scale) @ inverse
     return C / np.outer(scale, scale)
+
+
+def _gradient_scatter(g: Array) -> Array:
+    """Covariance (6, 6) of the sum of the tiles' gradients (rows, columns, 6)."""
+    own = np.einsum("rci,rcj->ij", g, g)
+    rows = g.copy()
+    rows[1:] += g[:-1]
+    rows[:-1] += g[1:]
+    around = rows.copy()
+    around[:, 1:] += rows[:, :-1]
+    around[:, :-1] += rows[:, 1:]
+    # Products with the eight neighbours too: what the windows carry over a tile's border (Conley 1999).
+    with_neighbours = np.einsum("rci,rcj->ij", g, around)
+    values, vectors = np.linalg.eigh(own)
+    held = values > values.max(initial=0) * 1e-12
+    root = vectors[:, held] * np.sqrt(values[held])
+    whiten = vectors[:, held] / np.sqrt(values[held])
+    ratio, axes = np.linalg.eigh(whiten.T @ with_neighbours @ whiten)
+    # Smoothing correlates neighbours positively: what falls below the tiles' own scatter is chance.
+    half = root @ axes * np.sqrt(np.maximum(ratio, 1.0))
+    n = int(np.any(g != 0, axis=2).sum())
+    # n / (n - 6): six parameters were fitted to these gradients (HC1, MacKinnon and White 1985).
+    return half @ half.T * n / max(n - 6, 1)
 
 
 def _inverse_where_held(H: Array) -> Array:
@@ -48,7 +66,7 @@ def observability(refined: Refined, covariance: Array) -> tuple[Direction, ...]:
     e = refined.equations
     scale = np.array([refined.lever_mm] * 3 + [1.0] * 3)
     H_t = e.H_texture_unbiased / np.outer(scale, scale)
-    H = e.H_distance / np.outer(scale, scale) + H_t
+    H = e.H_distance_unbiased / np.outer(scale, scale) + H_t
     _, vectors = np.linalg.eigh((H + H.T) / 2)
     C = covariance * np.outer(scale, scale)
     directions = []

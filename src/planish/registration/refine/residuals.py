@@ -90,15 +90,20 @@ def smooth_texture(value: Map, known: NDArray[np.bool_], sigma_px: float) -> Map
 class Equations:
     """Normal equations of the joint cost at one transform, xi = [rotation rad, translation mm] about a point of a.
 
-    `H_texture_unbiased` is the texture's information without what the noise of its gradients adds.
-    `tile_gradients` (tiles, 6) are the parts of the gradient from each tile of b.
+    The `unbiased` are the information without what the noise of normals and gradients adds.
+    `slope_distance` and `slope_texture` are the sums of psi'(r) over those of psi(r) / r of the robust influence psi:
+    by so much of H the gradient really changes. `tile_gradients` (rows, columns, 6) are the parts of the gradient from
+    each tile of b.
     """
 
     H_distance: Array
     g_distance: Array
     H_texture: Array
     g_texture: Array
+    H_distance_unbiased: Array
     H_texture_unbiased: Array
+    slope_distance: float
+    slope_texture: float
     cost: float
     points: int
     texture_points: int
@@ -157,10 +162,10 @@ def equations(
         max_distance_mm, float(np.cos(max_normal_rad)), w.scale_distance_mm, w.scale_texture, w.distance, w.texture,
         stride, tile,
     )  # fmt: skip
-    d, t, H_unbiased, correlation, conflicts, tiles, distances, differences = _core.joint_normal_equations(
+    d, t, Hd, Ht, correlation, conflicts, tiles, distances, differences = _core.joint_normal_equations(
         a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float), options, residuals, threads
     )
     return Equations(
-        d[0], d[1][0], t[0], t[1][0], H_unbiased, d[2] + t[2], d[3], t[3], correlation, conflicts,
+        d[0], d[1][0], t[0], t[1][0], Hd, Ht, d[4], t[4], d[2] + t[2], d[3], t[3], correlation, conflicts,
         tiles, distances, differences,
     )  # fmt: skip

@@ -53,10 +53,13 @@ def local_contrast(
         Its standard deviation from camera noise.
     """
     options = options or PhotometricOptions()
-    shading = None
+    gsd = ground_sample_distance(measurement)
+    if not np.isfinite(gsd):
+        nothing = np.full(measurement.shape, np.nan, np.float32)
+        return nothing, nothing.copy()
+    shading_px, shading = options.shading_mm / gsd, None
     if measurement.rig.projector is not None:
         shading = projector_shading(measurement, surface or fit_surface(measurement, threads=threads))
-    shading_px = options.shading_mm / ground_sample_distance(measurement)
     relative = None if shading is None else _over_lowpass(shading, shading_px)
     seen = [_on_organising_grid(measurement, name) for name in measurement.texture_views]
     parts = [_contrast(view, relative, shading_px, options.max_contrast) for view in seen]

@@ -1,0 +1,58 @@
+"""Constructed keypoints and matches with known truth, for the tests of matching, consensus and verdict."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planish.geometry import exp_se3, exp_so3, transform_points
+from planish.registration.keypoints import Keypoints
+from planish.registration.match import Matches
+
+T_TRUE = exp_se3([0.1, -0.2, 1.9, 40, -20, 10])
+
+
+def frames(rng, n, normal_rad=0.0):
+    """Frames (n, 3, 3) of a nearly flat surface facing -z: any orientation, normals within about `normal_rad`."""
+    turned = [exp_so3([0, 0, angle]) for angle in rng.uniform(-np.pi, np.pi, n)]
+    tilted = [exp_so3([*tilt, 0]) for tilt in normal_rad * rng.standard_normal((n, 2))]
+    facing = np.diag([1.0, -1.0, -1.0])
+    return np.array([tilt @ facing @ turn for tilt, turn in zip(tilted, turned, strict=True)]).reshape(-1, 3, 3)
+
+
+def places(rng, n, extent_mm=(300.0, 250.0)):
+    """Points (n, 3) on a slightly bent sheet [mm]."""
+    xy = rng.uniform(-0.5, 0.5, (n, 2)) * extent_mm
+    return np.column_stack([xy, (xy**2).sum(1) / 3000])
+
+
+def keypoints(points, frames_sensor, rng):
+    n = len(points)
+    return Keypoints(
+        np.asarray(points, float), np.asarray(frames_sensor, float), np.full(n, 5.0), rng.uniform(0, 1000, (n, 2)),
+        rng.integers(0, 256, (n, 128)).astype(np.uint8),
+    )  # fmt: skip
+
+
+def random_side(rng, n, extent_mm=(300.0, 250.0)):
+    return keypoints(places(rng, n, extent_mm), frames(rng, n, 0.05), rng)
+
+
+def pair(rng, total, groups=((0, T_TRUE),), noise_mm=0.2, turn_rad=0.08):
+    """Keypoints of a and b and `total` matches, of which the first ones agree: (number, T_a_b) per group, in order."""
+    b = random_side(rng, total)
+    a = random_side(rng, total)
+    points_a, frames_a = a.points_sensor.copy(), a.frames_sensor.copy()
+    start = 0
+    for number, T in groups:
+        one = slice(start, start + number)
+        points_a[one] = transform_points(T, b.points_sensor[one]) + noise_mm * rng.standard_normal((number, 3))
+        turns = np.array([exp_so3([0, 0, x]) for x in turn_rad * rng.standard_normal(number)]).reshape(-1, 3, 3)
+        frames_a[one] = T[:3, :3] @ b.frames_sensor[one] @ turns
+        start += number
+    a = keypoints(points_a, frames_a, rng)
+    index = np.arange(total)
+    return a, b, Matches(index, index, np.full(total, 0.8))
+
+
+def shuffled(rng, matches):
+    return matches.take(rng.permutation(len(matches)))

@@ -1,0 +1,135 @@
+"""The stated covariance of a refined pair against the scatter of repeated measurements; what nothing holds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+import sheets
+from planish.geometry import difference
+from planish.registration.pair import prepare, refine_pair
+from planish.registration.refine.covariance import _gradient_scatter, noise_covariance, observability
+from planish.registration.verdict import VerdictOptions, judge_refined
+
+#: 20 runs of 6 parameters know a mean NEES to 13 %; interpolation at 1.3 mm per pixel adds a bias of one standard
+#: deviation along the surface.
+FAST_NEES_PER_DOF = (0.6, 1.6)
+SLOW_NEES_PER_DOF = (0.8, 1.3)
+
+
+def errors(seeds, factor=1.0):
+    """Errors xi (n, 6) and stated covariances (n, 6, 6) of flat pairs with independent noise."""
+    xi, C = [], []
+    for seed in seeds:
+        sides = (sheets.noisy(sheets.quiet(s, 0.0), 1000 + 2 * seed + i, factor) for i, s in enumerate("ab"))
+        found = refine_pair(*(prepare(m, sheets.PITCH_MM) for m in sides), sheets.T_TRUE)
+        xi.append(difference(sheets.T_TRUE, found.T_a_b, found.about))
+        C.append(noise_covariance(found))
+    return np.array(xi), np.array(C)
+
+
+def nees_per_dof(xi, C):
+    return np.einsum("ni,ni->n", xi, np.linalg.solve(C, xi[..., None])[..., 0]) / 6
+
+
+def test_the_stated_covariance_predicts_the_scatter():
+    xi, C = errors(range(20))
+    low, high = FAST_NEES_PER_DOF
+    assert low < nees_per_dof(xi, C).mean() < high
+    ratio = xi.std(0, ddof=1) / np.sqrt(np.diagonal(C, axis1=1, axis2=2).mean(0))
+    # A standard deviation from 20 values is known to 16 %.
+    assert ((ratio > 0.55) & (ratio < 1.5)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.5, 1.0, 2.0])
+def test_nees_over_200_seeds_is_one_per_degree_of_freedom(factor):
+    xi, C = errors(range(200), factor)
+    nees = nees_per_dof(xi, C)
+    # The bias of the interpolation does not shrink with the noise: about the mean error, which is tested elsewhere.
+    about_mean = nees_per_dof(xi - xi.mean(0), C)
+    print(f"noise x {factor}: NEES / dof {nees.mean():.3f}, about the mean error {about_mean.mean():.3f}, ")
+    print(f"95 % coverage about the mean {(6 * about_mean < chi2.ppf(0.95, 6)).mean():.3f}")
+    assert SLOW_NEES_PER_DOF[0] < about_mean.mean() < SLOW_NEES_PER_DOF[1]
+
+
+def test_twice_the_noise_gives_twice_the_sigma():
+    (_, C1), (_, C2) = errors([3]), errors([3], 2.0)
+    ratio = np.sqrt(np.diag(C2[0]) / np.diag(C1[0]))
+    # The texture's differences hold a part from interpolation that does not grow with the noise.
+    np.testing.assert_allclose(ratio[[0, 1, 5]], 2, rtol=0.15)
+    assert ((ratio > 1.3) & (ratio < 2.3)).all()
+
+
+def test_the_scatter_of_independent_tiles_is_their_sum_of_squares():
+    g = np.random.default_rng(0).standard_normal((60, 80, 6))
+    # 4,800 tiles: a variance to 2 %; products with eight neighbours, of which only an excess counts, add three times
+    # that.
+    np.testing.assert_allclose(_gradient_scatter(g) / 4800, np.eye(6), atol=0.2)
+
+
+def test_the_scatter_counts_what_neighbouring_tiles_share():
+    rng = np.random.default_rng(0)
+    sums, stated = [], []
+    for _ in range(60):
+        white = rng.standard_normal((31, 41, 6))
+        g = white[1:, 1:] + white[:-1, 1:] + white[1:, :-1] + white[:-1, :-1]
+        sums.append(g.sum((0, 1)))
+        stated.append(np.diag(_gradient_scatter(g)))
+    # A variance from 360 values is known to 7 %.
+    assert np.mean(stated) == pytest.approx(np.mean(np.square(sums)), rel=0.2)
+
+
+def test_empty_tiles_do_not_count():
+    g = np.random.default_rng(0).standard_normal((9, 9, 6))
+    padded = np.zeros((30, 20, 6))
+    padded[5:14, 3:12] = g
+    np.testing.assert_allclose(_gradient_scatter(padded), _gradient_scatter(g), rtol=1e-9)
+    assert not _gradient_scatter(np.zeros((4, 5, 6))).any()
+
+
+@pytest.fixture(scope="module")
+def refined():
+    return refine_pair(*sheets.pair(), sheets.T_TRUE)
+
+
+def test_a_textured_bent_sheet_is_held_in_all_directions(refined):
+    C = noise_covariance(refined)
+    directions = observability(refined, C)
+    assert all(d.observable for d in directions)
+    axes = np.array([d.direction for d in directions])
+    np.testing.assert_allclose(axes @ axes.T, np.eye(6), atol=1e-9)
+    assert np.linalg.eigvalsh(C).min() > 0
+    np.testing.assert_allclose(C, C.T, rtol=1e-9, atol=1e-18)
+
+
+def test_geometry_holds_the_normal_and_texture_the_plate():
+    found = refine_pair(*sheets.pair(bend=0.0), sheets.T_TRUE)
+    for d in observability(found, noise_covariance(found)):
+        along_plate = np.linalg.norm([d.direction[2], *d.direction[3:5]])
+        assert (along_plate > 0.99) != (along_plate < 0.1)
+        assert d.texture_share > 0.95 if along_plate > 0.5 else d.texture_share < 0.05
+
+
+def test_a_plate_without_texture_leaves_three_directions_loose():
+    a, b = (prepare(sheets.noisy(sheets.quiet(s, 0.0, 0.0), 5 + i), sheets.PITCH_MM) for i, s in enumerate("ab"))
+    found = refine_pair(a, b, sheets.T_TRUE)
+    directions = observability(found, noise_covariance(found))
+    held = [d for d in directions if np.linalg.norm([d.direction[2], *d.direction[3:5]]) < 0.1]
+    loose = [d for d in directions if np.linalg.norm([d.direction[2], *d.direction[3:5]]) > 0.9]
+    assert len(held) == len(loose) == 3
+    assert max(d.sigma_mm for d in held) < 0.01
+    assert min(d.sigma_mm for d in loose) > 0.2
+    assert judge_refined(found, directions, 0.1, VerdictOptions()).status == "refused"
+
+
+def test_without_texture_geometry_alone_leaves_the_plate_loose():
+    found = refine_pair(*sheets.pair(bend=0.0), sheets.T_TRUE)
+    e = found.equations
+    blind = replace(found, equations=replace(e, H_texture_unbiased=np.zeros((6, 6))))
+    C = noise_covariance(blind)
+    assert np.isfinite(C).all()
+    assert [d.observable for d in observability(blind, C)] == [True] * 3 + [False] * 3

@@ -1,0 +1,261 @@
+"""The joint refinement: residuals and Jacobians, convergence, symmetry, threads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sheets
+from planish.geometry import difference, exp_se3, invert, perturb
+from planish.registration.pair import prepare, refine_pair
+from planish.registration.refine.covariance import noise_covariance
+from planish.registration.refine.overlap import overlap_extent
+from planish.registration.refine.residuals import Weights, equations, smooth_texture
+from planish.registration.refine.solve import RefineOptions, refine
+from planish.rig import Rig
+from reference import joint as reference
+
+#: float32 look-up weights and maps against float64.
+RESIDUAL_TOLERANCE = 2e-4
+#: Sums over 50,000 pixels of such residuals, relative to the largest element.
+SUM_TOLERANCE = 1e-4
+#: On planes the distance is linear in xi: what is left is the rounding of float32 points over the step.
+DISTANCE_JACOBIAN_TOLERANCE = 1e-3
+#: The texture's Jacobian is the mean of both sides' gradients, 0.1 mm apart here in a texture smoothed by 5 mm; the
+#: look-up's own derivative is that of one side. Central differences and linear look-up keep 98 % of such a gradient.
+TEXTURE_JACOBIAN_TOLERANCE = 0.04
+#: 1 mm and 0.3 degrees off, about the centre of the overlap.
+START = np.array([0.004, -0.003, 0.002, 0.6, -0.7, 0.4])
+#: float32 points carry 6e-5 mm; other sensor coordinates round them otherwise, 50,000 of them average it.
+FRAME_TOLERANCE_MM = 1e-3
+LEVER_MM = 150.0
+SCALE = np.array([LEVER_MM] * 3 + [1.0] * 3)
+
+
+def at(a, b, T, about, weights=None, **changes):
+    settings = {
+        "max_distance_mm": 3.0,
+        "max_normal_rad": 0.35,
+        "stride": 1,
+        "tile_px": 8,
+        "residuals": True,
+        "threads": 2,
+    }
+    return equations(a, b, T, about, weights, **{**settings, **changes})
+
+
+@pytest.fixture(scope="module")
+def bent():
+    return sheets.pair()
+
+
+def clean_sides(bend, smoothing):
+    a, b = (prepare(sheets.quiet(side, bend), sheets.PITCH_MM).sides[smoothing] for side in "ab")
+    inner = np.zeros(b.maps[0].shape[:2], np.uint8)
+    # Far from the rim of either image, so that a small motion leaves every pixel in.
+    inner[40:-40, 80:-100] = 1
+    return a, replace(b, maps=(*b.maps[:5], inner))
+
+
+def test_residuals_and_normal_equations_are_those_of_the_definition(bent):
+    a, b = (side.fit_sides[0.8] for side in bent)
+    camera = bent[0].measurement.camera
+    about = np.array([30.0, 10.0, -5.0])
+    T = perturb(sheets.T_TRUE, [1e-4, 2e-4, -1e-4, 0.1, 0.05, 0.02], about)
+    weights = Weights(0.01, 1.5, 700.0, 0.8)
+    found = at(a, b, T, about, weights)
+    rows, columns, d, J, t, J_a, J_b, conflicts = reference.residuals(
+        a.maps, camera, b.maps, T, about, 3.0, np.cos(0.35)
+    )
+    assert found.points == len(d)
+    assert found.conflicts == conflicts
+    assert found.points == np.isfinite(found.distances).sum()
+    np.testing.assert_allclose(found.distances[rows, columns], d, atol=RESIDUAL_TOLERANCE)
+    # Differences are in units of their noise: a thousandth of it.
+    np.testing.assert_allclose(found.differences[rows, columns], t, atol=1e-3)
+    known = np.isfinite(t)
+    assert found.texture_points == known.sum()
+    w_d = weights.distance * reference.tukey(d, weights.scale_distance_mm)
+    close(found.H_distance, (J * w_d[:, None]).T @ J)
+    close(found.g_distance, J.T @ (w_d * d))
+    t, J_a, J_b = t[known], J_a[known], J_b[known]
+    w_t = weights.texture * reference.tukey(t, weights.scale_texture)
+    mean = (J_a + J_b) / 2
+    close(found.H_texture, (mean * w_t[:, None]).T @ mean)
+    close(found.g_texture, mean.T @ (w_t * t))
+    step = 1e-5
+    for r, scale, slope in (
+        (d, weights.scale_distance_mm, found.slope_distance),
+        (t, weights.scale_texture, found.slope_texture),
+    ):
+        influence = [x * reference.tukey(x, scale) for x in (r + step * scale, r - step * scale)]
+        derivative = (influence[0] - influence[1]) / (2 * step * scale)
+        assert slope == pytest.approx(derivative.sum() / reference.tukey(r, scale).sum(), rel=1e-3)
+    cross = (J_a * w_t[:, None]).T @ J_b
+    close(found.H_texture_unbiased, (cross + cross.T) / 2)
+    assert found.cost == pytest.approx(w_d @ d**2 + w_t @ t**2, rel=1e-3)
+
+
+def close(found, expected):
+    """Compare in units in which rotations move the rim as much as translations."""
+    scale = np.outer(SCALE, SCALE) if np.ndim(found) == 2 else SCALE
+    np.testing.assert_allclose(found / scale, expected / scale, atol=SUM_TOLERANCE * np.abs(expected / scale).max())
+
+
+def test_the_gradients_of_the_tiles_add_up_to_the_whole(bent):
+    a, b = (side.fit_sides[1.6] for side in bent)
+    found = at(a, b, sheets.T_TRUE, np.zeros(3), Weights(0.01, 1.5, 700.0, 0.8))
+    np.testing.assert_allclose(found.tile_gradients.sum((0, 1)), found.g_distance + found.g_texture, rtol=1e-9)
+
+
+def test_held_out_pixels_take_no_part(bent):
+    a, b = bent
+    everything = at(a.sides[0.8], b.sides[0.8], sheets.T_TRUE, np.zeros(3))
+    fitted = at(a.fit_sides[0.8], b.sides[0.8], sheets.T_TRUE, np.zeros(3))
+    assert fitted.points / everything.points == pytest.approx(0.8, abs=0.03)
+
+
+def jacobian(a, b, T, about, name, step):
+    """Central differences (n, 6) of a residual map, scaled to the rim, and the residuals (n,) at T."""
+    columns = []
+    for k in range(6):
+        xi = np.zeros(6)
+        xi[k] = step / SCALE[k]
+        ends = [getattr(at(a, b, perturb(T, sign * xi, about), about), name) for sign in (1, -1)]
+        columns.append((ends[0].astype(float) - ends[1]) / (2 * step))
+    J = np.stack(columns, -1)
+    r = getattr(at(a, b, T, about), name).astype(float)
+    known = np.isfinite(J).all(2) & np.isfinite(r)
+    assert known.sum() > 0.98 * (b.maps[5] != 0).sum()
+    return J[known], r[known]
+
+
+@pytest.mark.parametrize("bend", [0.0, sheets.BENT])
+def test_the_jacobian_of_the_distance_is_its_derivative(bend):
+    a, b = clean_sides(bend, 0.8)
+    about = np.array([30.0, 10.0, 0.0])
+    # Along the normal and along the surface: both normals stay parallel.
+    T = perturb(sheets.T_TRUE, [0, 0, 0.0005, 0.05, 0.03, 0.4], about)
+    J, r = jacobian(a, b, T, about, "distances", 0.5)
+    found = at(a, b, T, about)
+    agree(found.H_distance, found.g_distance, J, r, DISTANCE_JACOBIAN_TOLERANCE)
+
+
+def test_the_jacobian_of_the_texture_is_its_derivative():
+    """One measurement against itself a little off, moved in its plane: the look-up follows the surface exactly."""
+    a = prepare(sheets.quiet("a", 0.0), sheets.PITCH_MM).sides[4.0]
+    inner = np.zeros(a.maps[0].shape[:2], np.uint8)
+    inner[20:-20, 20:-20] = 1
+    b = replace(a, maps=(*a.maps[:5], inner))
+    about = np.array([10.0, 10.0, 0.0])
+    T = perturb(np.eye(4), [0, 0, 0.001, 0.1, -0.05, 0], about)
+    J, r = jacobian(a, b, T, about, "differences", 0.1)
+    found, in_plane = at(a, b, T, about), (2, 3, 4)
+    for H in (found.H_texture, found.H_texture_unbiased):
+        agree(H, found.g_texture, J, r, TEXTURE_JACOBIAN_TOLERANCE, in_plane)
+
+
+def agree(H, g, J, r, tolerance, motions=range(6)):
+    motions = list(motions)
+    chosen = np.ix_(motions, motions)
+    H_expected, g_expected = J.T @ J, J.T @ r
+    limit = tolerance * np.abs(H_expected[chosen]).max()
+    np.testing.assert_allclose((H / np.outer(SCALE, SCALE))[chosen], H_expected[chosen], atol=limit)
+    limit = tolerance * np.abs(g_expected[motions]).max()
+    np.testing.assert_allclose((g / SCALE)[motions], g_expected[motions], atol=limit)
+
+
+def test_noise_of_the_normals_inflates_only_the_plain_information():
+    """A noisy plane says nothing about motions along itself."""
+    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0), seed), sheets.PITCH_MM).sides[0.8] for seed in (1, 2))
+    found = at(a, b, np.eye(4), np.zeros(3))
+    assert abs(found.H_distance_unbiased[3, 3]) < 0.1 * found.H_distance[3, 3]
+    assert found.H_distance_unbiased[5, 5] == pytest.approx(found.H_distance[5, 5], rel=1e-4)
+
+
+def test_the_gradient_noise_inflates_only_the_plain_information():
+    """Two exposures of the same view with pure noise as texture: no information about motions along the plane."""
+    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0, 0.0), seed), sheets.PITCH_MM).sides[0.8] for seed in (1, 2))
+    found = at(a, b, np.eye(4), np.zeros(3))
+    plain, unbiased = found.H_texture[3, 3], found.H_texture_unbiased[3, 3]
+    assert abs(unbiased) < 0.05 * plain
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_start_one_millimetre_off_leads_to_the_truth(bent, sign):
+    found = refine_pair(*bent, perturb(sheets.T_TRUE, sign * START, [30, 10, 0]))
+    assert found.converged
+    xi = difference(sheets.T_TRUE, found.T_a_b, found.about)
+    # 22.5: the 99.9 % point of chi squared with six degrees of freedom.
+    assert xi @ np.linalg.solve(noise_covariance(found), xi) < 22.5
+    assert np.linalg.norm(xi[3:]) < 0.03
+
+
+def test_the_result_does_not_depend_on_the_start(bent):
+    starts = (sheets.T_TRUE, perturb(sheets.T_TRUE, START, [30, 10, 0]))
+    first, second = (refine_pair(*bent, T) for T in starts)
+    xi = difference(first.T_a_b, second.T_a_b, first.about)
+    # A level ends when a step is below step_mm.
+    assert np.linalg.norm(xi[3:]) + LEVER_MM * np.linalg.norm(xi[:3]) < 2 * RefineOptions().step_mm
+
+
+def test_forward_is_the_inverse_of_backward():
+    # On a flat sheet: on a bent one the look-up's chords between pixels of 1.3 mm shift the normal by 0.3 micrometres,
+    # more than its standard deviation.
+    a, b = sheets.pair(bend=0.0)
+    forward, backward = refine_pair(a, b, sheets.T_TRUE), refine_pair(b, a, invert(sheets.T_TRUE))
+    xi = difference(invert(backward.T_a_b), forward.T_a_b, forward.about)
+    # Both see the same noise, so that they differ by less than one standard deviation per parameter.
+    assert xi @ np.linalg.solve(noise_covariance(forward), xi) < 6
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_another_sensor_frame_gives_the_same_answer(bent, which):
+    G = exp_se3([0.4, -0.7, 1.1, 120, -80, 300])
+    sides = list(bent)
+    m = sides[which].measurement
+    camera = replace(m.camera, T_camera_sensor=m.camera.T_camera_sensor @ invert(G))
+    points = (m.points_sensor.astype(float) @ G[:3, :3].T + G[:3, 3]).astype(np.float32)
+    sides[which] = prepare(replace(m, rig=Rig({"A": camera}), points_sensor=points), sheets.PITCH_MM)
+    start = perturb(sheets.T_TRUE, START, [30, 10, 0])
+    moved = refine_pair(*sides, G @ start if which == 0 else start @ invert(G))
+    plain = refine_pair(*bent, start)
+    T = invert(G) @ moved.T_a_b if which == 0 else moved.T_a_b @ G
+    xi = difference(plain.T_a_b, T, plain.about)
+    assert np.linalg.norm(xi[3:]) < FRAME_TOLERANCE_MM
+    assert np.linalg.norm(xi[:3]) * LEVER_MM < FRAME_TOLERANCE_MM
+
+
+def test_the_refinement_is_the_same_for_any_number_of_threads(bent):
+    start = perturb(sheets.T_TRUE, START, [30, 10, 0])
+    results = [refine_pair(*bent, start, threads=threads) for threads in (1, 2, 8)]
+    assert len({r.T_a_b.tobytes() + noise_covariance(r).tobytes() for r in results}) == 1
+
+
+def test_surfaces_apart_cannot_be_refined(bent):
+    a, b = bent
+    far = sheets.T_TRUE @ exp_se3([0, 0, 0, 900, 0, 0])
+    assert overlap_extent(a.measurement, b.measurement, far) is None
+    assert refine_pair(a, b, far) is None
+    assert refine(a.fit_sides, b.sides, far, np.zeros(3), LEVER_MM, 8) is None
+
+
+def test_the_extent_of_the_overlap_is_its_centre_and_radius():
+    m = sheets.quiet("a", 0.0)
+    centre, radius = overlap_extent(m, m, np.eye(4))
+    points = m.points_sensor.reshape(-1, 3).astype(float)
+    # Every eighth pixel stands for all: half of that along the rim.
+    np.testing.assert_allclose(centre, points.mean(0), atol=6 * sheets.GSD_MM)
+    assert radius == pytest.approx(np.sqrt(((points - points.mean(0)) ** 2).sum(1).mean()), rel=0.03)
+
+
+def test_smoothing_averages_known_pixels_only():
+    value = np.full((40, 50), 3.0, np.float32)
+    known = np.ones(value.shape, bool)
+    known[10:20, 10:20] = False
+    value[~known] = 1e6
+    smooth = smooth_texture(value, known, 2.0)
+    assert np.isnan(smooth[~known]).all()
+    np.testing.assert_allclose(smooth[known], 3.0, rtol=1e-6)

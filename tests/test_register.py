@@ -1,0 +1,91 @@
+"""The whole registration of a few small measurements: verdicts, groups, order, threads, bad input."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sheets
+import synthetic
+from planish.errors import InputError
+from planish.geometry import exp_se3, invert
+from planish.pipeline import register
+
+#: 1.3 mm per pixel: a hundredth of a pixel along the surface, far less along the normal.
+PLACE_TOLERANCE_MM = 0.05
+PLACES = {"left": np.eye(4), "middle": sheets.T_TRUE, "right": sheets.T_TRUE @ exp_se3([0, 0.02, 0.4, 70, 30, 0])}
+
+
+@pytest.fixture(scope="module")
+def measurements():
+    """Three measurements of one sheet, one of a plate without texture, and one without any point."""
+    found = [sheets.noisy(sheets.quiet("a"), 1), sheets.noisy(sheets.quiet("b"), 2)]
+    found.append(synthetic.measurement(PLACES["right"], sheets.grain(), scale=sheets.SCALE, bend=sheets.BENT, seed=3))
+    found = [replace(m, name=name) for m, name in zip(found, PLACES, strict=True)]
+    blank = replace(sheets.noisy(sheets.quiet("a", 0.0, 0.0), 4), name="blank")
+    nothing = replace(blank, name="nothing", points_sensor=np.full_like(blank.points_sensor, np.nan))
+    return [*found, blank, nothing]
+
+
+@pytest.fixture(scope="module")
+def registration(measurements):
+    return register(measurements, threads=2)
+
+
+def test_measurements_of_one_part_are_placed_rightly(registration):
+    assert [m.name for m in registration.measurements if m.group == 0] == ["left", "middle", "right"]
+    reference = registration.groups[0].reference
+    points = np.mgrid[-150:151:50, -100:101:50, 0:1].reshape(3, -1).T.astype(float)
+    for placed in registration.measurements:
+        if placed.group == 0:
+            T_true = invert(PLACES[reference]) @ PLACES[placed.name]
+            assert sheets.errors_mm(placed.T_world_measurement, T_true, points).max() < PLACE_TOLERANCE_MM
+
+
+def test_what_shows_no_texture_or_no_surface_stays_alone_with_a_reason(registration):
+    for name in ("blank", "nothing"):
+        pairs = [p for p in registration.pairs if name in (p.a, p.b)]
+        assert len(pairs) == 4
+        assert all(p.status == "refused" and p.reason and p.T_a_b is None for p in pairs)
+    assert len(registration.groups) == 3
+
+
+def test_neither_order_nor_threads_change_a_byte(measurements, registration, tmp_path):
+    contents = set()
+    registration.save(tmp_path / "registration.json")
+    contents.add((tmp_path / "registration.json").read_bytes())
+    for threads, order in ((1, [2, 0, 4, 1, 3]), (8, [4, 3, 2, 1, 0])):
+        register([measurements[i] for i in order], threads=threads).save(tmp_path / "other.json")
+        contents.add((tmp_path / "other.json").read_bytes())
+    assert len(contents) == 1
+
+
+def test_a_single_measurement_is_its_own_world(measurements):
+    found = register(measurements[:1])
+    assert found.groups[0].reference == "left"
+    assert found.pairs == ()
+    np.testing.assert_array_equal(found.measurements[0].T_world_measurement, np.eye(4))
+
+
+def test_the_reference_can_be_chosen(measurements):
+    assert register(measurements[:2], reference="middle").groups[0].reference == "middle"
+
+
+def test_bad_input_is_named(measurements):
+    with pytest.raises(InputError, match="found none"):
+        register([])
+    with pytest.raises(InputError, match="'left' stands 2 times"):
+        register([measurements[0], measurements[0]])
+    with pytest.raises(InputError, match=r"reference.*'other'.*left"):
+        register(measurements[:2], reference="other")
+    with pytest.raises(InputError, match="threads"):
+        register(measurements[:1], threads=0)
+
+
+def test_progress_is_told_stage_by_stage(measurements):
+    said = []
+    register(measurements[:2], progress=lambda *step: said.append(step))
+    assert {stage for stage, *_ in said} == {"texture", "pairs", "overlap"}
+    assert all(0 <= done <= total for _, done, total in said)
