@@ -1,7 +1,9 @@
 """The main job from the shell: captures in, one registered part out. Half the sensor's resolution, three captures."""
 
 import json
+import runpy
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,8 @@ from planish.files import cloud
 from planish.measurement import Measurement
 from planish.pipeline import register
 from planish.registration.result import Registration
+
+ROOT = Path(__file__).resolve().parents[1]
 
 #: At half resolution the pixel is 0.65 mm: errors along the surface stay below a tenth of it.
 ALONG_MM = 0.06
@@ -128,3 +132,16 @@ def test_require_all_ends_with_3_where_something_is_not_tied_in(job, tmp_path):
     outcome = planish("register", tmp_path, "--out", tmp_path / "out", "--require-all", "--no-report", "--no-cloud")
     tied = registration.pair("m1", "m3").status == "accepted"
     assert outcome.code == (0 if tied else 3)
+
+
+def test_the_python_of_the_readme_and_the_example_run_as_they_stand(job, tmp_path, monkeypatch, capsys):
+    folder, _ = job
+    (tmp_path / "demo-out").symlink_to(folder)
+    monkeypatch.chdir(tmp_path)
+    readme = (ROOT / "README.md").read_text()
+    code = readme.split("```python\n")[1].split("```")[0]
+    exec(compile(code, "README.md", "exec"), {})
+    assert "m1 m2 accepted" in capsys.readouterr().out
+    monkeypatch.setattr("sys.argv", ["register_captures.py", "demo-out/captures"])
+    runpy.run_path(str(ROOT / "examples" / "register_captures.py"), run_name="__main__")
+    assert "m1, m2: accepted" in capsys.readouterr().out
