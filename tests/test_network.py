@@ -152,6 +152,17 @@ def test_a_blunder_is_found_even_where_it_is_stated_as_the_most_certain_pair(wro
     assert [(p.a, p.b) for p in network(pairs).pairs if not p.used] == [wrong]
 
 
+@pytest.mark.parametrize("wrong", ALL[:2] + ALL[3:4])
+def test_in_a_lone_triangle_the_pair_with_the_weakest_evidence_goes(wrong):
+    rng = np.random.default_rng(4)
+    pairs = []
+    for names in combinations("abc", 2):
+        weak = names == wrong
+        error = [0, 0, 0, 5, 0, 0] if weak else None
+        pairs.append(pair(*names, rng, error, log10_false_alarms=-4.0 if weak else -100.0))
+    assert [(p.a, p.b) for p in network(pairs, ("a", "b", "c")).pairs if not p.used] == [wrong]
+
+
 def test_two_blunders_are_taken_out_one_after_the_other():
     rng = np.random.default_rng(5)
     names = (*NAMES, "e")
