@@ -111,7 +111,7 @@ def test_random_matches_give_no_significant_consensus():
 @pytest.mark.parametrize("extent_mm", [(300.0, 250.0), (300.0, 25.0)])
 def test_false_alarms_on_random_matches_are_no_more_than_stated(extent_mm):
     """Of runs of one pair each, at most a share of 10^-k has a number of false alarms below 10^-k."""
-    trials, stated = 250, []
+    trials, stated = 120, []
     for seed in range(trials):
         rng = np.random.default_rng(1000 + seed)
         a, b = matched.random_side(rng, 120, extent_mm), matched.random_side(rng, 120, extent_mm)

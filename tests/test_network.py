@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -141,6 +142,25 @@ def test_a_blunder_in_a_network_of_loops_is_taken_out_and_named():
         assert removed.T_a_b is not None
         T = {m.name: m.T_world_measurement for m in result.measurements}
         assert max(np.abs(xi[3:]).max() for xi in errors(T).values()) < 0.05
+
+
+@pytest.mark.parametrize("wrong", ALL)
+def test_a_blunder_is_found_even_where_it_is_stated_as_the_most_certain_pair(wrong):
+    rng = np.random.default_rng(4)
+    pairs = [pair(*names, rng, error=[0, 0, 0, 5, 0, 0] if names == wrong else None) for names in ALL]
+    pairs = [replace(p, covariance_noise=COVARIANCE / 25) if (p.a, p.b) == wrong else p for p in pairs]
+    assert [(p.a, p.b) for p in network(pairs).pairs if not p.used] == [wrong]
+
+
+@pytest.mark.parametrize("wrong", ALL[:2] + ALL[3:4])
+def test_in_a_lone_triangle_the_pair_with_the_weakest_evidence_goes(wrong):
+    rng = np.random.default_rng(4)
+    pairs = []
+    for names in combinations("abc", 2):
+        weak = names == wrong
+        error = [0, 0, 0, 5, 0, 0] if weak else None
+        pairs.append(pair(*names, rng, error, log10_false_alarms=-4.0 if weak else -100.0))
+    assert [(p.a, p.b) for p in network(pairs, ("a", "b", "c")).pairs if not p.used] == [wrong]
 
 
 def test_two_blunders_are_taken_out_one_after_the_other():

@@ -35,7 +35,8 @@ class Adjusted:
     covariance : dict
         Per name, (6, 6), of xi about the own centroid in world; zero for the reference.
     residual_mm : dict
-        Per pair (a, b): how far the pair moves its overlap's centre against the adjusted network [mm].
+        Per pair (a, b): how far the pair puts its overlap's centre from where the other pairs put it [mm]; 0 where
+        nothing else ties the two together.
     residual_sigma : dict
         The same in standard deviations (root of the quadratic form over the degrees of freedom).
     variance_factor : float
@@ -111,20 +112,41 @@ def _result(
     N: Array,
 ) -> Adjusted:
     residual_mm, residual_sigma, total = {}, {}, 0.0
+    inverse = _solve(N, np.eye(len(N)))
     for pair, W in zip(edges, information, strict=True):
-        r, _ = _residual(pair, T, centroids)
-        squared = float(r @ W @ r)
-        total += squared
-        residual_mm[pair.a, pair.b] = float(np.linalg.norm(r[3:]))
-        residual_sigma[pair.a, pair.b] = float(np.sqrt(squared / 6))
+        r, J = _residual(pair, T, centroids)
+        total += float(r @ W @ r)
+        A = np.zeros((6, len(N)))
+        for name in J.keys() & column.keys():
+            A[:, column[name] : column[name] + 6] = J[name]
+        gap, sigma = _contradiction(r, _required(pair.covariance_noise), A @ inverse @ A.T)
+        residual_mm[pair.a, pair.b] = float(np.linalg.norm(gap[3:]))
+        residual_sigma[pair.a, pair.b] = sigma
     redundancy = 6 * (len(edges) - len(free))
     factor = total / redundancy if redundancy > 0 else 1.0
-    inverse = _solve(N, np.eye(len(N)))
     # Loops that close worse than the pairs' covariances promise speak for errors that those leave out.
     inverse = inverse * max(1.0, factor)
     covariance = {name: inverse[column[name] : column[name] + 6, column[name] : column[name] + 6] for name in free}
     covariance[reference] = np.zeros((6, 6))
     return Adjusted(T, covariance, residual_mm, residual_sigma, factor)
+
+
+def _contradiction(r: Array, C: Array, C_adjusted: Array) -> tuple[Array, float]:
+    """Difference xi of a pair from what all others say, and its size in standard deviations.
+
+    A certain pair pulls the network along, so that its residual r alone shows little of its error; the covariance of r,
+    C - C_adjusted, undoes that (data snooping, Baarda 1968). Directions that no other pair controls count nothing.
+    """
+    d = np.sqrt(np.diag(C))
+    values, vectors = np.linalg.eigh((C - C_adjusted) / np.outer(d, d))
+    controlled = values > _UNCONTROLLED
+    z = vectors[:, controlled].T @ (r / d)
+    gap = C @ (vectors[:, controlled] @ (z / values[controlled]) / d)
+    return gap, float(np.sqrt(z @ (z / values[controlled]) / 6))
+
+
+#: Share of a pair's variance left to its residual below which only rounding is left of it.
+_UNCONTROLLED = 1e-6
 
 
 def _residual(

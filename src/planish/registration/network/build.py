@@ -77,8 +77,9 @@ def _adjust_without_blunders(
     """Adjust one group; take out the worst pair of a loop that does not close, one at a time."""
     while True:
         adjusted = adjust(start_transforms(names, reference, pairs), reference, pairs, centroids, options)
+        # In a lone triangle all three contradict alike: the pair with the weakest evidence goes.
         suspects = [
-            (adjusted.residual_sigma[p.a, p.b], i)
+            (round(adjusted.residual_sigma[p.a, p.b], 6), p.log10_false_alarms, i)
             for i, p in enumerate(pairs)
             if (p.a, p.b) in adjusted.residual_mm
             and adjusted.residual_mm[p.a, p.b] > options.blunder_mm
@@ -87,7 +88,7 @@ def _adjust_without_blunders(
         ]
         if not suspects:
             return adjusted, pairs
-        sigma, worst = max(suspects)
+        sigma, _, worst = max(suspects)
         pair = pairs[worst]
         reason = (
             f"contradicts the other pairs by {adjusted.residual_mm[pair.a, pair.b]:.2f} mm ({sigma:.0f} sigma): "
