@@ -1,11 +1,11 @@
 """Local contrast: the texture without what belongs to light, shape and sensor, with its noise.
 
 A camera sees I = albedo * (projector's light * cos(incidence) / distance^2 + room light) + highlight. The projector's
-part follows from the known geometry and is divided out. What is left of fall-off, room light and exposure changes
-slowly over the surface, so I / expected, over its own low-pass, minus 1 is the relative deviation of the albedo from
-its surroundings, whatever the light. Highlights depend on the direction of view: where one camera is brighter than the
-other says, it counts less. Image kinds (mean of the fringe images, white) and cameras are combined by their noise on
-the organising camera's grid; the other camera is read at the measured correspondence.
+part follows from the known geometry. What is left of fall-off, room light and exposure changes slowly over the surface
+and follows from a low-pass. I / expected - 1 is the relative deviation of the albedo from its surroundings, whatever
+the light. Highlights depend on the direction of view: where one camera is brighter than the other says, it counts less.
+Image kinds (mean of the fringe images, white) and cameras are combined by their noise on the organising camera's grid;
+the other camera is read at the measured correspondence.
 """
 
 from __future__ import annotations
@@ -119,8 +119,7 @@ def _contrast(view: _Seen, relative: Map | None, shading_px: float, limit: float
         expected = smooth if relative is None else _expected(smooth, relative, room_light)
         known &= np.isfinite(expected) & (expected > 0)
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(known, image / expected, np.float32(1))
-            value = np.clip(ratio / _masked_lowpass(ratio, known, shading_px) - 1, -limit, limit)
+            value = np.clip(image / expected - 1, -limit, limit)
             weight = np.where(known & np.isfinite(value), expected**2 / variance, np.float32(0))
         value = np.where(weight > 0, value, np.float32(0))
         total = weight * value if total is None else total + weight * value
@@ -140,7 +139,10 @@ def _ambient(view: _Seen, shading_px: float) -> Map | None:
 
 
 def _expected(smooth: Map, relative: Map, ambient: Map | None) -> Map:
-    """Brightness of an even albedo: the projector's part follows the geometry, the room's part does not."""
+    """Brightness of an even albedo: the projector's part follows the geometry, the room's part does not.
+
+    With I = albedo * S, lowpass(I) * S / lowpass(S) is S times the local mean of the albedo, weighted by S.
+    """
     room = np.float32(0) if ambient is None else np.minimum(ambient, smooth)
     return (smooth - room) * relative + room
 
