@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 import sheets
+from planish.geometry import translation
 from planish.measurement import NoiseModel, View
+from planish.registration.surface import fit_surface
 from planish.registration.texture.photometric import local_contrast
+from planish.registration.texture.shading import projector_shading
 from planish.rig import Rig
 
 #: float32 arithmetic of values near 1.
@@ -115,3 +119,60 @@ def test_no_contrast_stands_where_there_is_no_point(clean):
     assert np.isnan(value[30:60, 40:90]).all()
     assert np.isnan(sigma[30:60, 40:90]).all()
     assert np.isfinite(value[70:, 100:]).all()
+
+
+#: What the matt-surface model leaves of its own shading, where the normals come from a fit to noisy points.
+LEFT_SHARE = 0.25
+
+
+def lit_by_a_projector(m, room=0.0):
+    """The measurement under a projector near its sheet, image = shading alone, with and without room light."""
+    centre = np.array([150.0, -60.0, 260.0])
+    projector = replace(m.camera, T_camera_sensor=translation(-centre))
+    to_light = centre - m.points_sensor.astype(float)
+    squared = (to_light**2).sum(-1)
+    normals = fit_surface(m).normals_sensor.astype(float)
+    irradiance = (normals * to_light).sum(-1) / squared**1.5 * 1e7
+    view = replace(m.views["A"], mean=(irradiance / 2 + room).astype(np.float32), white=irradiance.astype(np.float32))
+    return replace(m, rig=Rig(m.rig.cameras, projector), views={"A": view}), irradiance
+
+
+@pytest.mark.parametrize("room", [0.0, 60.0])
+def test_the_projectors_light_on_a_bent_sheet_is_not_taken_for_texture(room):
+    m, irradiance = lit_by_a_projector(sheets.quiet("a", 1 / 300), room)
+    blind = replace(m, rig=Rig(m.rig.cameras))
+    # Grazing light is not predicted, and beside it the low-pass mixes both.
+    lit = cv2.erode((irradiance > 0.4 * np.nanmax(irradiance)).astype(np.uint8), np.ones((15, 15))) > 0
+    with_model, without = (np.nanstd(local_contrast(x)[0][lit]) for x in (m, blind))
+    assert with_model < LEFT_SHARE * without
+
+
+def test_the_shading_follows_the_cosine_and_the_square_of_the_distance():
+    m, irradiance = lit_by_a_projector(sheets.quiet("a", 0.0))
+    shading = projector_shading(m, fit_surface(m))
+    ratio = shading / irradiance
+    inner = ratio[10:-10, 10:-10]
+    # Noise of the points turns the averaged normals by less than a milliradian.
+    assert np.nanstd(inner) < 2e-3 * np.nanmean(inner)
+
+
+def test_without_a_projector_there_is_no_shading_model(clean):
+    assert projector_shading(clean, fit_surface(clean)) is None
+
+
+def test_where_one_camera_sees_a_highlight_the_other_one_counts():
+    m = sheets.quiet("a", 0.0)
+    rows, columns = np.indices(m.shape)
+    spot = 80.0 * np.exp(-((columns - 170) ** 2 + (rows - 130) ** 2) / (2 * 25.0**2))
+    # A highlight with structure of its own: it must not become texture.
+    structure = 1 + 0.1 * np.sin(columns / 1.5)
+    dull = m.views["A"]
+    shiny = replace(dull, mean=(dull.mean + spot * structure).astype(np.float32))
+    own = np.stack([columns, rows], -1).astype(np.float32)
+    both = replace(m, rig=Rig({"A": m.camera, "B": m.camera}), correspondence_px=own,
+                   views={"A": shiny, "B": dull}, texture_views=("A", "B"))  # fmt: skip
+    truth = local_contrast(m)[0]
+    in_spot = np.s_[120:140, 160:180]
+    alone = replace(both, texture_views=("A",))
+    wrong, mended = (np.nanstd((local_contrast(x)[0] - truth)[in_spot]) for x in (alone, both))
+    assert mended < 0.1 * wrong

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from planish.geometry import Array, perturb
 from planish.options import Options, thread_count
@@ -17,11 +18,11 @@ class RefineOptions(Options):
     """Options of the joint refinement."""
 
     #: Standard deviation of the Gaussian on the texture per level, coarse to fine [px].
-    smoothing_px: tuple[float, ...] = (2.0, 0.8)
+    smoothing_px: tuple[PositiveFloat, ...] = (2.0, 0.8)
     #: Every n-th pixel per level.
-    stride: tuple[int, ...] = (2, 1)
+    stride: tuple[PositiveInt, ...] = (2, 1)
     #: Surfaces farther apart than this do not belong together, per level [mm].
-    max_distance_mm: tuple[float, ...] = (2.0, 1.0)
+    max_distance_mm: tuple[PositiveFloat, ...] = (2.0, 1.0)
     #: Largest angle between the normals of the two surfaces [rad].
     max_normal_rad: float = Field(default=0.35, gt=0, lt=1.5)
     #: Most steps per level.
@@ -30,6 +31,13 @@ class RefineOptions(Options):
     step_mm: float = Field(default=5e-4, gt=0)
     #: Half of what a direction may be uncertain by, to be updated at all [mm].
     max_sigma_mm: float = Field(default=2.0, gt=0)
+
+    @model_validator(mode="after")
+    def _one_value_per_level(self) -> Self:
+        levels = len(self.smoothing_px)
+        if levels == 0 or len(self.stride) != levels or len(self.max_distance_mm) != levels:
+            raise ValueError("smoothing_px, stride and max_distance_mm must have one value per level, at least one")
+        return self
 
 
 @dataclass(frozen=True)
