@@ -147,7 +147,7 @@ def test_the_background_stays_with_the_sensor_and_has_no_true_point():
 
 
 @pytest.mark.parametrize("name", sorted(SCENES))
-def test_every_scene_has_rigid_poses_that_see_the_part(name):
+def test_every_scene_has_rigid_places_that_see_the_part(name):
     scene = make_scene(name, 0, scale=0.1)
     assert all(is_rigid(T) for T in scene.T_object_sensor)
     assert len(set(scene.names)) == len(scene.names) == len(scene.T_object_sensor)

@@ -113,7 +113,7 @@ def test_the_noise_factor_scales_the_noise(factor):
 
 def test_noise_differs_between_images_cameras_and_captures():
     scene = flat_scene()
-    scene = scene.in_poses([scene.T_object_sensor[0]] * 2)
+    scene = scene.seen_from([scene.T_object_sensor[0]] * 2)
     first, second = render_capture(scene, 0), render_capture(scene, 1)
     stacks = [first["A"][0], first["A"][1], second["A"][0], first["B"][0]]
     fluctuations = [stack - np.mean(first["A"][:IMAGES], axis=0) for stack in stacks[:3]]
@@ -124,14 +124,14 @@ def test_noise_differs_between_images_cameras_and_captures():
 
 def test_what_is_fixed_to_the_sensor_is_the_same_in_every_capture():
     scene = flat_scene(noise_factor=0.1)
-    scene = scene.in_poses([scene.T_object_sensor[0]] * 2)
+    scene = scene.seen_from([scene.T_object_sensor[0]] * 2)
     means = [render_capture(scene, i)["A"][:IMAGES].mean(0) for i in (0, 1)]
     lit = means[0] > 50
     pattern = [m[lit] / m[lit].mean() for m in means]
     fixed = sensor_response(scene.sensor, "A", scene.rig.cameras["A"].size_px)[lit]
     assert fixed.std() == pytest.approx(0.005, rel=0.03)
     ratio = pattern[0] / pattern[1]
-    # Same pose: what is left is a tenth of the noise of 40 images, far below the PRNU that cancels.
+    # Same place: what is left is a tenth of the noise of 40 images, far below the PRNU that cancels.
     assert ratio.std() < 0.001
 
 

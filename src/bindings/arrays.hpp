@@ -8,6 +8,7 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cstddef>
+#include <stdexcept>
 
 #include "core/camera.hpp"
 #include "core/image.hpp"
@@ -48,21 +49,17 @@ struct Owned {
     }
 };
 
-/// Camera from planish.rig.Camera.kernel_parameters.
-inline planish::Camera camera_from(const In<double, 1>& p) {
-    planish::Camera camera{};
-    const double* x = p.data();
-    camera.fx = x[0];
-    camera.fy = x[1];
-    camera.cx = x[2];
-    camera.cy = x[3];
-    camera.skew = x[4];
-    std::copy_n(x + 5, 12, camera.k.begin());
-    for (int i = 0; i < 3; ++i) {
-        for (int j = 0; j < 3; ++j) camera.R_camera_sensor(i, j) = x[17 + 3 * i + j];
-        camera.t_camera_sensor[i] = x[26 + i];
-    }
+/// Camera from the 29 numbers of planish.rig.Camera.kernel_parameters.
+inline planish::Camera camera_from(const double* p, std::size_t size) {
+    if (size != 29) throw std::invalid_argument("a camera has 29 parameters");
+    planish::Camera camera{p[0], p[1], p[2], p[3], p[4], {}, {}, {}};
+    std::copy_n(p + 5, 12, camera.k.begin());
+    camera.R_camera_sensor = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(p + 17);
+    camera.t_camera_sensor = Eigen::Map<const Eigen::Vector3d>(p + 26);
     return camera;
+}
+inline planish::Camera camera_from(const In<double, 1>& parameters) {
+    return camera_from(parameters.data(), parameters.size());
 }
 
 /// Rigid transform from an array (4, 4).

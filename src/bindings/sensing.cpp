@@ -12,6 +12,7 @@
 #include <thread>
 #include <vector>
 
+#include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
 #include "core/camera.hpp"
 #include "core/correspond.hpp"
@@ -25,47 +26,38 @@
 #include "core/triangulate.hpp"
 #include "core/undistortion.hpp"
 
-namespace nb = nanobind;
-
 namespace {
 
 // --- arrays --------------------------------------------------------------------------------------------------------
 
 template <class T>
-using In = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
+using AnyIn = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
 template <class T>
-using Out = nb::ndarray<nb::numpy, T>;
+using AnyOut = nb::ndarray<nb::numpy, T>;
 using AnyImage = nb::ndarray<nb::ro, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 /// A new array that Python owns; its values are not set.
 template <class T>
-Out<T> make_array(std::initializer_list<std::size_t> shape) {
+AnyOut<T> make_array(std::initializer_list<std::size_t> shape) {
     std::size_t size = 1;
     for (const std::size_t n : shape) size *= n;
     auto data = std::make_unique_for_overwrite<T[]>(size);
     T* raw = data.release();
     nb::capsule owner(raw, [](void* p) noexcept { delete[] static_cast<T*>(p); });
-    return Out<T>(raw, shape.size(), shape.begin(), owner);
+    return AnyOut<T>(raw, shape.size(), shape.begin(), owner);
 }
 
-/// View of an array (H, W) or (H, W, C); an array of size 0 becomes an empty view.
+/// View of an array (H, W) or (H, W, C) of any number of dimensions; an array of size 0 becomes an empty view.
 template <class Array>
-auto view(const Array& a) {
+auto view_of(const Array& a) {
     using T = std::remove_pointer_t<decltype(a.data())>;
     if (a.size() == 0) return planish::Image<T>{};
     return planish::Image<T>{a.data(), static_cast<int>(a.shape(0)), static_cast<int>(a.shape(1)),
                              a.ndim() > 2 ? static_cast<int>(a.shape(2)) : 1};
 }
 
-/// Camera from Camera.kernel_parameters (29,).
-planish::Camera make_camera(const In<double>& parameters) {
-    if (parameters.size() != 29) throw std::invalid_argument("a camera has 29 parameters");
-    const double* p = parameters.data();
-    planish::Camera camera{p[0], p[1], p[2], p[3], p[4], {}, {}, {}};
-    std::copy_n(p + 5, 12, camera.k.begin());
-    camera.R_camera_sensor = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(p + 17);
-    camera.t_camera_sensor = Eigen::Map<const Eigen::Vector3d>(p + 26);
-    return camera;
+planish::Camera make_camera(const AnyIn<double>& parameters) {
+    return camera_from(parameters.data(), parameters.size());
 }
 
 // --- sensing -------------------------------------------------------------------------------------------------------
@@ -102,9 +94,9 @@ bool is_8_bit(const std::vector<AnyImage>& images) {
 
 nb::tuple decode_phase(const std::vector<AnyImage>& images, const std::vector<int>& counts,
                        const std::vector<float>& angles_cos, const std::vector<float>& angles_sin,
-                       const std::vector<float>& periods, const In<float>& coarse, float saturation, float noise_offset,
-                       float noise_slope, float max_phase_sigma_rad, float coarse_limit_px, float range_start_px,
-                       float range_length_px, int threads) {
+                       const std::vector<float>& periods, const AnyIn<float>& coarse, float saturation,
+                       float noise_offset, float noise_slope, float max_phase_sigma_rad, float coarse_limit_px,
+                       float range_start_px, float range_length_px, int threads) {
     const bool narrow = is_8_bit(images);
     const std::size_t h = images[0].shape(0), w = images[0].shape(1);
     auto position = make_array<float>({h, w}), sigma = make_array<float>({h, w}), mean = make_array<float>({h, w}),
@@ -112,8 +104,9 @@ nb::tuple decode_phase(const std::vector<AnyImage>& images, const std::vector<in
     auto rejected = make_array<std::uint16_t>({h, w});
     const planish::DecodeSettings settings{saturation,      noise_offset,   noise_slope,    max_phase_sigma_rad,
                                            coarse_limit_px, range_start_px, range_length_px};
-    const planish::PhaseResult out{view(position), view(sigma), view(mean), view(modulation), view(rejected)};
-    const auto coarse_view = view(coarse);
+    const planish::PhaseResult out{view_of(position), view_of(sigma), view_of(mean), view_of(modulation),
+                                   view_of(rejected)};
+    const auto coarse_view = view_of(coarse);
     {
         nb::gil_scoped_release release;
         if (narrow)
@@ -135,12 +128,12 @@ std::vector<planish::GrayBit<T>> make_bits(const std::vector<AnyImage>& images, 
     return bits;
 }
 
-Out<float> decode_gray(const std::vector<AnyImage>& images, const std::vector<int>& inverse, const In<float>& threshold,
-                       int threads) {
+AnyOut<float> decode_gray(const std::vector<AnyImage>& images, const std::vector<int>& inverse,
+                          const AnyIn<float>& threshold, int threads) {
     const bool narrow = is_8_bit(images);
     auto cell = make_array<float>({images[0].shape(0), images[0].shape(1)});
-    const auto out = view(cell);
-    const auto limit = view(threshold);
+    const auto out = view_of(cell);
+    const auto limit = view_of(threshold);
     nb::gil_scoped_release release;
     if (narrow)
         planish::decode_gray(make_bits<std::uint8_t>(images, inverse), limit, threads, out);
@@ -149,24 +142,24 @@ Out<float> decode_gray(const std::vector<AnyImage>& images, const std::vector<in
     return cell;
 }
 
-Out<float> undistortion_shifts(const In<double>& camera, int height, int width, int threads) {
+AnyOut<float> undistortion_shifts(const AnyIn<double>& camera, int height, int width, int threads) {
     auto shifts = make_array<float>({static_cast<std::size_t>(height), static_cast<std::size_t>(width), 2});
-    const auto out = view(shifts);
+    const auto out = view_of(shifts);
     const planish::Camera model = make_camera(camera);
     nb::gil_scoped_release release;
     planish::undistortion_shifts(model, threads, out);
     return shifts;
 }
 
-nb::tuple repair_periods(const In<float>& position, const In<float>& sigma, const In<std::uint16_t>& rejected,
+nb::tuple repair_periods(const AnyIn<float>& position, const AnyIn<float>& sigma, const AnyIn<std::uint16_t>& rejected,
                          float period_px, float tolerance_px, float sigmas, int threads) {
     const std::size_t h = position.shape(0), w = position.shape(1);
     auto new_position = make_array<float>({h, w}), new_sigma = make_array<float>({h, w});
     auto new_rejected = make_array<std::uint16_t>({h, w});
-    const auto p = view(position), s = view(sigma);
-    const auto r = view(rejected);
-    const auto np = view(new_position), ns = view(new_sigma);
-    const auto nr = view(new_rejected);
+    const auto p = view_of(position), s = view_of(sigma);
+    const auto r = view_of(rejected);
+    const auto np = view_of(new_position), ns = view_of(new_sigma);
+    const auto nr = view_of(new_rejected);
     {
         nb::gil_scoped_release release;
         planish::repair_periods(p, s, r, period_px, tolerance_px, sigmas, threads, np, ns, nr);
@@ -174,25 +167,25 @@ nb::tuple repair_periods(const In<float>& position, const In<float>& sigma, cons
     return nb::make_tuple(new_position, new_sigma, new_rejected);
 }
 
-Out<std::uint8_t> phase_edges(const In<float>& position, const In<float>& sigma, float jump_px, float sigmas,
-                              int threads) {
+AnyOut<std::uint8_t> phase_edges(const AnyIn<float>& position, const AnyIn<float>& sigma, float jump_px, float sigmas,
+                                 int threads) {
     auto edge = make_array<std::uint8_t>({position.shape(0), position.shape(1)});
-    const auto out = view(edge);
-    const auto p = view(position), s = view(sigma);
+    const auto out = view_of(edge);
+    const auto p = view_of(position), s = view_of(sigma);
     nb::gil_scoped_release release;
     planish::phase_edges(p, s, jump_px, sigmas, threads, out);
     return edge;
 }
 
-nb::tuple correspond(const In<float>& own_position, const In<float>& own_sigma, const In<float>& own_shift,
-                     const In<float>& other_position, const In<float>& other_sigma, const In<float>& other_shift,
-                     const In<double>& F, int threads) {
+nb::tuple correspond(const AnyIn<float>& own_position, const AnyIn<float>& own_sigma, const AnyIn<float>& own_shift,
+                     const AnyIn<float>& other_position, const AnyIn<float>& other_sigma,
+                     const AnyIn<float>& other_shift, const AnyIn<double>& F, int threads) {
     const std::size_t h = own_position.shape(0), w = own_position.shape(1);
     auto pixel = make_array<float>({h, w, 2}), sigma = make_array<float>({h, w});
-    const planish::PhaseView own{view(own_position), view(own_sigma), view(own_shift)};
-    const planish::PhaseView other{view(other_position), view(other_sigma), view(other_shift)};
+    const planish::PhaseView own{view_of(own_position), view_of(own_sigma), view_of(own_shift)};
+    const planish::PhaseView other{view_of(other_position), view_of(other_sigma), view_of(other_shift)};
     const Eigen::Matrix3d line = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(F.data());
-    const planish::CorrespondResult out{view(pixel), view(sigma)};
+    const planish::CorrespondResult out{view_of(pixel), view_of(sigma)};
     {
         nb::gil_scoped_release release;
         planish::correspond(own, other, line, threads, out);
@@ -200,13 +193,14 @@ nb::tuple correspond(const In<float>& own_position, const In<float>& own_sigma, 
     return nb::make_tuple(pixel, sigma);
 }
 
-nb::tuple triangulate(const In<double>& own, const In<float>& own_shift, const In<double>& other,
-                      const In<float>& other_shift, const In<float>& pixel, const In<float>& sigma, int threads) {
+nb::tuple triangulate(const AnyIn<double>& own, const AnyIn<float>& own_shift, const AnyIn<double>& other,
+                      const AnyIn<float>& other_shift, const AnyIn<float>& pixel, const AnyIn<float>& sigma,
+                      int threads) {
     const std::size_t h = pixel.shape(0), w = pixel.shape(1);
     auto points = make_array<float>({h, w, 3}), sigma_mm = make_array<float>({h, w}), miss = make_array<float>({h, w});
-    const planish::ViewGeometry a{make_camera(own), view(own_shift)}, b{make_camera(other), view(other_shift)};
-    const planish::TriangulateResult out{view(points), view(sigma_mm), view(miss)};
-    const auto p = view(pixel), s = view(sigma);
+    const planish::ViewGeometry a{make_camera(own), view_of(own_shift)}, b{make_camera(other), view_of(other_shift)};
+    const planish::TriangulateResult out{view_of(points), view_of(sigma_mm), view_of(miss)};
+    const auto p = view_of(pixel), s = view_of(sigma);
     {
         nb::gil_scoped_release release;
         planish::triangulate(a, b, p, s, threads, out);
@@ -214,15 +208,15 @@ nb::tuple triangulate(const In<double>& own, const In<float>& own_shift, const I
     return nb::make_tuple(points, sigma_mm, miss);
 }
 
-nb::tuple projector_residual(const In<double>& projector, int axis, const In<double>& center, const In<float>& points,
-                             const In<float>& sigma_mm, const In<float>& position, const In<float>& position_sigma,
-                             int threads) {
+nb::tuple projector_residual(const AnyIn<double>& projector, int axis, const AnyIn<double>& center,
+                             const AnyIn<float>& points, const AnyIn<float>& sigma_mm, const AnyIn<float>& position,
+                             const AnyIn<float>& position_sigma, int threads) {
     const std::size_t h = points.shape(0), w = points.shape(1);
     auto residual = make_array<float>({h, w}), sigma = make_array<float>({h, w});
     const planish::Camera model = make_camera(projector);
     const Eigen::Vector3d origin(center.data()[0], center.data()[1], center.data()[2]);
-    const auto x = view(points), s = view(sigma_mm), p = view(position), ps = view(position_sigma);
-    const auto r = view(residual), rs = view(sigma);
+    const auto x = view_of(points), s = view_of(sigma_mm), p = view_of(position), ps = view_of(position_sigma);
+    const auto r = view_of(residual), rs = view_of(sigma);
     {
         nb::gil_scoped_release release;
         planish::projector_residual(model, axis, origin, x, s, p, ps, threads, r, rs);
@@ -230,22 +224,23 @@ nb::tuple projector_residual(const In<double>& projector, int axis, const In<dou
     return nb::make_tuple(residual, sigma);
 }
 
-Out<std::uint8_t> grazing_points(const In<float>& depth, const In<float>& sigma, const In<std::uint8_t>& lit,
-                                 float pixel_size, float max_slope, float rim_px, float sigmas, int threads) {
+AnyOut<std::uint8_t> grazing_points(const AnyIn<float>& depth, const AnyIn<float>& sigma,
+                                    const AnyIn<std::uint8_t>& lit, float pixel_size, float max_slope, float rim_px,
+                                    float sigmas, int threads) {
     auto grazing = make_array<std::uint8_t>({depth.shape(0), depth.shape(1)});
-    const auto out = view(grazing);
-    const auto z = view(depth), s = view(sigma);
-    const auto l = view(lit);
+    const auto out = view_of(grazing);
+    const auto z = view_of(depth), s = view_of(sigma);
+    const auto l = view_of(lit);
     nb::gil_scoped_release release;
     planish::grazing_points(z, s, l, {pixel_size, max_slope, rim_px, sigmas}, threads, out);
     return grazing;
 }
 
-Out<std::uint8_t> islands(const In<float>& depth, const In<float>& sigma, float depth_per_pixel, float sigmas,
-                          int min_pixels) {
+AnyOut<std::uint8_t> islands(const AnyIn<float>& depth, const AnyIn<float>& sigma, float depth_per_pixel, float sigmas,
+                             int min_pixels) {
     auto small = make_array<std::uint8_t>({depth.shape(0), depth.shape(1)});
-    const auto out = view(small);
-    const auto z = view(depth), s = view(sigma);
+    const auto out = view_of(small);
+    const auto z = view_of(depth), s = view_of(sigma);
     nb::gil_scoped_release release;
     planish::islands(z, s, {depth_per_pixel, sigmas, min_pixels}, out);
     return small;

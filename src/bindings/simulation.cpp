@@ -12,15 +12,12 @@
 #include <thread>
 #include <vector>
 
+#include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
 #include "core/counter_noise.hpp"
 #include "core/render.hpp"
 
-namespace nb = nanobind;
-
 namespace {
-
-// --- simulation ------------------------------------------------------------------------------------------------
 
 namespace simulation {
 
@@ -46,12 +43,7 @@ Eigen::Vector3d vector3(const nb::dict& values, const char* key) {
 /// From Camera.kernel_parameters: fx fy cx cy skew, 12 distortion, R row by row, t.
 planish::Camera camera(const nb::dict& values, const char* key) {
     const auto p = get<Vector>(values, key);
-    if (p.size() != 29) throw std::invalid_argument(std::string(key) + ": expected 29 numbers");
-    planish::Camera out{p(0), p(1), p(2), p(3), p(4), {}, {}, {}};
-    for (int i = 0; i < 12; ++i) out.k[i] = p(5 + i);
-    for (int i = 0; i < 9; ++i) out.R_camera_sensor(i / 3, i % 3) = p(17 + i);
-    for (int i = 0; i < 3; ++i) out.t_camera_sensor(i) = p(26 + i);
-    return out;
+    return camera_from(p.data(), p.size());
 }
 
 planish::Surface surface(const nb::dict& values) {

@@ -32,7 +32,7 @@ def render_capture(scene: Scene, index: int, threads: int | None = None) -> dict
 
     The bytes depend on the scene alone, not on the number of threads.
     """
-    T = _pose(scene, index)
+    T = _T_object_sensor(scene, index)
     patterns = projected_patterns(scene.sequence, scene.sensor, scene.rig)
     out: dict[str, Images] = {}
     for number, (name, camera) in enumerate(scene.rig.cameras.items()):
@@ -62,7 +62,7 @@ def trace_capture(scene: Scene, index: int, camera: str, threads: int | None = N
 
     A pixel can be measured where its point is lit by the projector and seen by both cameras, within their images.
     """
-    T = _pose(scene, index)
+    T = _T_object_sensor(scene, index)
     width, height = scene.rig.cameras[camera].size_px
     points, lit = np.empty((height, width, 3)), np.empty((height, width), np.uint8)
     values = _kernel_scene(scene, T, camera)
@@ -78,7 +78,7 @@ def trace_capture(scene: Scene, index: int, camera: str, threads: int | None = N
     return points_sensor, seen
 
 
-def _pose(scene: Scene, index: int) -> Array:
+def _T_object_sensor(scene: Scene, index: int) -> Array:
     if not 0 <= index < len(scene.T_object_sensor):
         raise InputError("capture", f"found {index}", f"0 to {len(scene.T_object_sensor) - 1}")
     return scene.T_object_sensor[index]

@@ -67,7 +67,7 @@ class Scene:
     background: Background | None = None
     sequence: tuple[Entry, ...] = field(default_factory=lambda: tuple(reference_sequence()))
 
-    def in_poses(self, T_object_sensor: Sequence[Array]) -> Scene:
+    def seen_from(self, T_object_sensor: Sequence[Array]) -> Scene:
         """Return the scene with other captures, named m1, m2, ..."""
         return replace(self, T_object_sensor=tuple(T_object_sensor), names=_names(len(T_object_sensor)))
 
@@ -143,9 +143,9 @@ def _names(count: int) -> tuple[str, ...]:
     return tuple(f"m{i + 1}" for i in range(count))
 
 
-def _scene(part: str, surface: Surface, poses: Sequence[Array], texture: Texture | None = None) -> Scene:
+def _scene(part: str, surface: Surface, places: Sequence[Array], texture: Texture | None = None) -> Scene:
     return Scene(
-        part, surface, texture or Texture(), Light(), Sensor(), _names(len(poses)), tuple(poses), reference_rig()
+        part, surface, texture or Texture(), Light(), Sensor(), _names(len(places)), tuple(places), reference_rig()
     )  # fmt: skip
 
 
@@ -157,15 +157,15 @@ def _walk(
     surface: Surface, path: Array, rng: np.random.Generator, rolls: Sequence[float] = _ROLLS, tilt_deg: float = 7.0,
     closer_mm: float = 15.0, jitter_mm: float = 8.0,
 ) -> list[Array]:  # fmt: skip
-    """Return the poses along a path (n, 2) in (s, t) [mm] with varied roll, tilt and distance."""
-    poses = []
+    """Return the places along a path (n, 2) in (s, t) [mm] with varied roll, tilt and distance."""
+    places = []
     for i, (s, t) in enumerate(path):
         ds, dt = rng.uniform(-jitter_mm, jitter_mm, 2)
         roll = rolls[i % len(rolls)] + rng.uniform(-4, 4)
         tilt = rng.uniform(-tilt_deg, tilt_deg, 2)
-        pose = place_sensor(surface, s + ds, t + dt, roll, (tilt[0], tilt[1]), rng.uniform(-closer_mm, closer_mm))
-        poses.append(pose)
-    return poses
+        T = place_sensor(surface, s + ds, t + dt, roll, (tilt[0], tilt[1]), rng.uniform(-closer_mm, closer_mm))
+        places.append(T)
+    return places
 
 
 def _zigzag(count: int, step_mm: float, height_mm: float, limit_mm: float) -> Array:
@@ -223,8 +223,8 @@ def _disjoint(rng: np.random.Generator, captures: int | None) -> Scene:
 def _blank(rng: np.random.Generator, captures: int | None) -> Scene:
     surface = Plate()
     path = np.column_stack([50.0 * np.arange(captures or 2), np.zeros(captures or 2)])
-    poses = [place_sensor(surface, s, t) for s, t in path]
-    return _scene("plate", surface, poses, BLANK)
+    places = [place_sensor(surface, s, t) for s, t in path]
+    return _scene("plate", surface, places, BLANK)
 
 
 #: The catalogue.
