@@ -211,10 +211,14 @@ def _parallel(
     cv2.setNumThreads(own)
     values: list[Value] = []
     say(stage, 0, len(items))
-    with ThreadPoolExecutor(workers) as pool:
+    pool = ThreadPoolExecutor(workers)
+    try:
         for value in pool.map(lambda item: function(item, own), items):
             values.append(value)
             say(stage, len(values), len(items))
+    finally:
+        # An interrupt must not wait for what has not begun.
+        pool.shutdown(cancel_futures=True)
     return values
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import signal
 import sys
-from importlib import import_module
+from importlib import import_module, metadata
 from types import FrameType
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -27,14 +28,23 @@ def make_app() -> typer.Typer:
     """Return the application with all commands."""
     app = typer.Typer(
         no_args_is_help=True,
+        invoke_without_command=True,
         add_completion=False,
         pretty_exceptions_enable=False,
         help="Register fringe-projection measurements by their surface texture.",
     )
-    app.callback()(lambda: None)
+    app.callback()(_common)
     for command in COMMANDS:
         import_module(f"planish.cli.{command}").register_command(app)
     return app
+
+
+def _common(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.", is_eager=True)] = False,
+) -> None:
+    if version:
+        typer.echo(f"planish {metadata.version('planish')}")
+        raise typer.Exit
 
 
 def main() -> None:

@@ -1,0 +1,81 @@
+"""Times of the main job's stages and their ratio to a floor: reading the images and OpenCV's SIFT on each texture.
+
+    python benchmarks/speed.py
+
+Five captures of the door at full resolution, everything in one process, files in the page cache. Each figure is the
+median of the runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+import cv2
+import numpy as np
+
+from planish.measurement import Measurement
+from planish.options import thread_count
+from planish.pipeline import measure, register_run
+from planish.sensing.capture import Capture
+from planish.simulation.render import render_capture
+from planish.simulation.scenes import make_scene
+from planish.simulation.writing import write_scene
+from render_tables import save_table
+
+
+def timed(function: Callable[[], object], runs: int) -> float:
+    """Median seconds of a call after one that does not count."""
+    function()
+    seconds = []
+    for _ in range(runs):
+        started = time.perf_counter()
+        function()
+        seconds.append(time.perf_counter() - started)
+    return median(seconds)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=3)
+    runs = parser.parse_args().runs
+    threads = thread_count()
+    scene = make_scene("door", 1)
+    with tempfile.TemporaryDirectory() as folder:
+        captures = [Capture.load(f) for f in write_scene(scene, Path(folder), true_points=False)]
+        rendering = timed(lambda: render_capture(scene, 0, threads), runs)
+
+        def read() -> None:
+            for capture in captures:
+                for camera in capture.cameras:
+                    capture.read_images(camera, threads)
+
+        reading = timed(read, runs)
+        measurements: list[Measurement] = [measure(capture, threads=threads) for capture in captures]
+        textures = [np.clip(np.nan_to_num(m.views["A"].mean), 0, 255).astype(np.uint8) for m in measurements]
+        cv2.setNumThreads(threads)
+        sift = timed(lambda: [cv2.SIFT.create().detectAndCompute(t, None) for t in textures], runs)
+        measuring = timed(lambda: [measure(capture, threads=threads) for capture in captures], runs)
+        registering = timed(lambda: register_run(measurements, threads=threads), runs)
+    floor = reading + sift
+    rows = [
+        {"what": "render one capture (2 x 14 images, core only)", "seconds": rendering},
+        {"what": "floor: read 5 x 28 images", "seconds": reading, "ratio": reading / floor},
+        {"what": "floor: OpenCV SIFT on 5 textures", "seconds": sift, "ratio": sift / floor},
+        {"what": "measure 5 captures, reading included", "seconds": measuring, "ratio": measuring / floor},
+        {"what": "register 5 measurements, overlap evaluation included", "seconds": registering,
+         "ratio": registering / floor},
+        {"what": "files to registration", "seconds": measuring + registering, "ratio": (measuring + registering) / floor},
+    ]  # fmt: skip
+    for row in rows:
+        print(row)
+    columns = {"what": "stage", "seconds": "median [s]", "ratio": "over the floor"}
+    save_table("speed", columns, rows, f"python benchmarks/speed.py --runs {runs}", {"seconds": ".2f", "ratio": ".2f"})
+
+
+if __name__ == "__main__":
+    main()

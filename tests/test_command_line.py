@@ -1,0 +1,42 @@
+"""What all commands have in common: version, help, interruption."""
+
+import signal
+import subprocess
+import sys
+import time
+from importlib.metadata import version
+
+from command_line import planish
+
+#: Long enough for the command to have begun its work, on a busy machine too.
+BEGUN_SECONDS = 4.0
+
+
+def test_the_version_is_printed():
+    outcome = planish("--version")
+    assert outcome.code == 0
+    assert outcome.out.strip() == f"planish {version('planish')}"
+
+
+def test_without_a_command_the_help_lists_all_of_them():
+    outcome = planish("--help")
+    assert outcome.code == 0
+    for command in ("simulate", "measure", "import", "register", "evaluate", "demo"):
+        assert command in outcome.out
+
+
+def test_an_unknown_command_ends_with_2():
+    outcome = planish("regster")
+    assert outcome.code == 2
+    assert "regster" in outcome.err
+
+
+def test_an_interrupt_ends_with_130_and_words(tmp_path):
+    command = [sys.executable, "-c", "from planish.cli import main; main()", "demo", "--out", str(tmp_path)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    time.sleep(BEGUN_SECONDS)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "interrupted" in err
+    assert "Traceback" not in err
