@@ -10,8 +10,9 @@ import pytest
 import sheets
 import synthetic
 from planish.errors import InputError
-from planish.geometry import exp_se3, invert
+from planish.geometry import difference, exp_se3, invert
 from planish.pipeline import register
+from planish.rig import Rig
 
 #: 1.3 mm per pixel: a hundredth of a pixel along the surface, far less along the normal.
 PLACE_TOLERANCE_MM = 0.05
@@ -89,3 +90,26 @@ def test_progress_is_told_stage_by_stage(measurements):
     register(measurements[:2], progress=lambda *step: said.append(step))
     assert {stage for stage, *_ in said} == {"texture", "pairs", "overlap"}
     assert all(0 <= done <= total for _, done, total in said)
+
+
+def shrunk(m, factor):
+    """The same measurement of a part and sensor that are `factor` times as large."""
+    cameras = {}
+    for name, item in m.rig.cameras.items():
+        T = item.T_camera_sensor.copy()
+        T[:3, 3] *= factor
+        cameras[name] = replace(item, T_camera_sensor=T)
+    return replace(m, rig=Rig(cameras), points_sensor=m.points_sensor * np.float32(factor),
+                   sigma_mm=m.sigma_mm * np.float32(factor))  # fmt: skip
+
+
+@pytest.mark.parametrize("factor", [0.1, 8.0])
+def test_a_small_and_a_large_sensor_register_like_the_reference(factor):
+    a, b = (sheets.noisy(sheets.quiet(side), seed) for side, seed in (("a", 1), ("b", 2)))
+    pair = register([shrunk(a, factor), shrunk(b, factor)]).pair("a", "b")
+    assert pair.status == "accepted", pair.reason
+    expected = sheets.T_TRUE.copy()
+    expected[:3, 3] *= factor
+    error = difference(expected, pair.T_a_b, pair.covariance_point_mm)
+    # A twentieth of a pixel of 1.3 mm, scaled.
+    assert np.linalg.norm(error[3:]) < 0.05 * sheets.GSD_MM * factor

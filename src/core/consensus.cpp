@@ -44,6 +44,8 @@ Hypothesis from_pair(const FramedMatch& i, const FramedMatch& j) {
 
 /// Rigid fit to the agreeing matches (Kabsch 1976), repeated until their number no longer grows.
 Hypothesis refine(std::span<const FramedMatch> matches, Hypothesis best, double tolerance, double min_cosine) {
+    // A normal counts like a place five tolerances away.
+    const double normal_weight = 25.0 * tolerance * tolerance;
     for (int round = 0; round < 10; ++round) {
         Eigen::Vector3d mean_a = Eigen::Vector3d::Zero(), mean_b = Eigen::Vector3d::Zero();
         int n = 0;
@@ -61,7 +63,7 @@ Hypothesis refine(std::span<const FramedMatch> matches, Hypothesis best, double 
             if (agrees(m, best.R_a_b, best.t_a_b, tolerance, min_cosine)) {
                 // The normals steady the fit where all agreeing places lie on one line.
                 H += (m.point_a - mean_a) * (m.point_b - mean_b).transpose() +
-                     25.0 * m.frame_a.col(2) * m.frame_b.col(2).transpose();
+                     normal_weight * m.frame_a.col(2) * m.frame_b.col(2).transpose();
             }
         const Eigen::JacobiSVD<Eigen::Matrix3d> svd(H, Eigen::ComputeFullU | Eigen::ComputeFullV);
         Eigen::Matrix3d S = Eigen::Matrix3d::Identity();

@@ -27,6 +27,20 @@ class Strict(BaseModel):
 class Options(Strict):
     """Base of a stage's options. Names carry their unit (`_mm`, `_px`, `_rad`, `_deg`); none = a pure number."""
 
+    def scaled(self, factor: float) -> Self:
+        """Return these options with all lengths (`_mm`) that were left at their defaults multiplied by `factor`.
+
+        Defaults are made for one ground sample distance; a sensor that sees finer or coarser needs them in proportion.
+        """
+        values: dict[str, Any] = {}
+        for name in type(self).model_fields:
+            value = getattr(self, name)
+            if isinstance(value, Options):
+                values[name] = value.scaled(factor)
+            elif name.endswith("_mm") and name not in self.model_fields_set:
+                values[name] = tuple(factor * v for v in value) if isinstance(value, tuple) else factor * value
+        return self.model_copy(update=values)
+
 
 def thread_count(threads: int | None = None) -> int:
     """Return the number of threads to use: the argument, else PLANISH_THREADS, else the processors of this process.

@@ -20,7 +20,15 @@ from planish.measurement import Measurement
 from planish.options import Options, thread_count
 from planish.registration.network.adjust import NetworkOptions
 from planish.registration.network.build import Node, build_network
-from planish.registration.pair import PairOptions, Prepared, common_pitch, prepare, register_pair
+from planish.registration.pair import (
+    PairOptions,
+    Prepared,
+    common_gsd,
+    common_pitch,
+    length_factor,
+    prepare,
+    register_pair,
+)
 from planish.registration.result import PairResult, Registration
 from planish.sensing.capture import Capture, GreyImage
 from planish.sensing.correspond import correspond
@@ -170,7 +178,8 @@ def register_run(
     """
     options, count, say = options or RegisterOptions(), thread_count(threads), progress or (lambda *_: None)
     ordered = _checked(measurements, reference)
-    pitch = common_pitch(ordered)
+    # Lengths that the user did not set follow the resolution of the data.
+    options, pitch = options.scaled(length_factor(common_gsd(ordered))), common_pitch(ordered)
     prepared = _prepare_all(ordered, pitch, options, count, say)
     pairs = _register_pairs(prepared, options, count, say)
     overlaps = _evaluate_pairs(prepared, pairs, count, say)

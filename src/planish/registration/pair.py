@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -61,16 +61,30 @@ class Prepared:
     fit_sides: Mapping[float, JointSide]
 
 
-#: Pitch of the texture images in multiples of the finest ground sample distance: the detector doubles the image, so
-#: that its finest scale is near the camera's own resolution.
+#: Pitch of the texture images in multiples of the ground sample distance: the detector doubles the image, so that its
+#: finest scale is near the camera's own resolution.
 _PITCH_GSD = 1.5
+#: Ground sample distance that the default lengths of the options are made for [mm per pixel].
+REFERENCE_GSD_MM = 0.33
 
 
-def common_pitch(measurements: list[Measurement]) -> float:
-    """Return the pitch of the texture images of a run [mm], so that keypoints of all measurements compare."""
-    pitches = [ground_sample_distance(m) for m in measurements]
-    known = [p for p in pitches if np.isfinite(p)]
-    return _PITCH_GSD * float(np.median(known)) if known else 1.0
+def common_gsd(measurements: Sequence[Measurement]) -> float:
+    """Return the median ground sample distance of a run [mm per pixel], so that keypoints of all compare."""
+    known = [g for g in map(ground_sample_distance, measurements) if np.isfinite(g)]
+    return float(np.median(known)) if known else REFERENCE_GSD_MM
+
+
+def common_pitch(measurements: Sequence[Measurement]) -> float:
+    """Return the pitch of the texture images of a run [mm]."""
+    return _PITCH_GSD * common_gsd(measurements)
+
+
+def length_factor(gsd_mm: float) -> float:
+    """Return by how much lengths of the options grow for a ground sample distance, in steps of a quarter octave.
+
+    Steps, so that one more measurement does not change every option a little.
+    """
+    return float(2.0 ** (round(4 * np.log2(gsd_mm / REFERENCE_GSD_MM)) / 4))
 
 
 def prepare(
@@ -178,7 +192,7 @@ def refine_pair(
 ) -> Refined | None:
     """Return the joint refinement of a pair from a coarse transform, or None where the surfaces do not overlap."""
     options = options or PairOptions()
-    extent = overlap_extent(a.measurement, b.measurement, T_a_b)
+    extent = overlap_extent(a.measurement, b.measurement, T_a_b, max(options.refine.max_distance_mm))
     if extent is None:
         return None
     centre, radius = extent

@@ -9,6 +9,8 @@ from planish.measurement import Measurement
 
 #: Edge of a tile [mm] (DESIGN section 4, "Errors").
 TILE_MM = 10.0
+#: Tiles per width of the image at least: a sensor with a small field needs enough of them all the same.
+MIN_TILES = 24
 
 
 def ground_sample_distance(measurement: Measurement) -> float:
@@ -19,9 +21,10 @@ def ground_sample_distance(measurement: Measurement) -> float:
 
 
 def tile_size_px(measurement: Measurement) -> int:
-    """Return the edge of a tile in pixels of the organising camera, at least 4."""
+    """Return the edge of a tile in pixels of the organising camera: 10 mm, less for small fields, at least 4."""
     gsd = ground_sample_distance(measurement)
-    return max(4, round(TILE_MM / gsd)) if np.isfinite(gsd) else 4
+    largest = measurement.shape[1] // MIN_TILES
+    return max(4, min(round(TILE_MM / gsd), largest)) if np.isfinite(gsd) else 4
 
 
 def held_out(tile_row: NDArray[np.integer], tile_column: NDArray[np.integer]) -> NDArray[np.bool_]:

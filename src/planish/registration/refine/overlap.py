@@ -12,7 +12,7 @@ _STRIDE = 8
 
 
 def overlap_extent(
-    a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: float = 3.0
+    a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: float = 2.0
 ) -> tuple[Array, float] | None:
     """Return centre (3,) in frame a and rms radius [mm] of the common surface, or None where there is none."""
     points_b = b.points_sensor[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(float)

@@ -29,6 +29,8 @@ class PhotometricOptions(Options):
 
     #: Scale above which a change of brightness counts as shading [mm] (standard deviation of the low-pass).
     shading_mm: float = Field(default=2.5, gt=0)
+    #: Normals are averaged over this length for the shading, so that their noise does not become texture [mm].
+    normal_mm: float = Field(default=3.0, gt=0)
     #: Local contrast is clipped here: beyond it, highlights and holes rule.
     max_contrast: float = Field(default=0.5, gt=0)
     #: Excess of one camera's brightness over the other's at which its weight has fallen to 1 / e.
@@ -59,7 +61,8 @@ def local_contrast(
         return nothing, nothing.copy()
     shading_px, shading = options.shading_mm / gsd, None
     if measurement.rig.projector is not None:
-        shading = projector_shading(measurement, surface or fit_surface(measurement, threads=threads))
+        surface = surface or fit_surface(measurement, threads=threads)
+        shading = projector_shading(measurement, surface, options.normal_mm)
     relative = None if shading is None else _over_lowpass(shading, shading_px)
     seen = [_on_organising_grid(measurement, name) for name in measurement.texture_views]
     parts = [_contrast(view, relative, shading_px, options.max_contrast) for view in seen]

@@ -9,16 +9,15 @@ from planish.measurement import Map, Measurement
 from planish.registration.surface import Surface
 from planish.registration.tiles import ground_sample_distance
 
-#: Normals are averaged over this length for the shading, so that their noise does not become texture [mm].
-_NORMAL_MM = 3.0
 #: Light that grazes the surface more than this is not predicted any more (cosine of the incidence).
 _MIN_COSINE = 0.05
 
 
-def projector_shading(measurement: Measurement, surface: Surface) -> Map | None:
+def projector_shading(measurement: Measurement, surface: Surface, normal_mm: float = 3.0) -> Map | None:
     """Return the projector's irradiance (H, W) on the surface up to a factor, or None where there is no projector.
 
-    cos(incidence) / distance^2 for a point source (Lambert's law); NaN where there is no surface.
+    cos(incidence) / distance^2 for a point source (Lambert's law); NaN where there is no surface. Normals are averaged
+    over `normal_mm` [mm].
     """
     projector = measurement.rig.projector
     if projector is None:
@@ -26,7 +25,7 @@ def projector_shading(measurement: Measurement, surface: Surface) -> Map | None:
     centre = projector.center_sensor.astype(np.float32)
     to_light = centre - surface.points_sensor
     squared = np.einsum("hwi,hwi->hw", to_light, to_light)
-    normals = _averaged(surface.normals_sensor, max(1, round(_NORMAL_MM / ground_sample_distance(measurement))))
+    normals = _averaged(surface.normals_sensor, max(1, round(normal_mm / ground_sample_distance(measurement))))
     cosine = np.einsum("hwi,hwi->hw", normals, to_light) / np.sqrt(squared)
     # The distances are taken relative to a typical one, so that the values are near 1.
     typical = float(np.linalg.norm(centre - _middle(surface)))
