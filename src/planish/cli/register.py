@@ -24,6 +24,7 @@ from planish.pipeline import RegisteredRun, RegisterOptions, register_run
 from planish.registration.result import Registration
 from planish.report import write_report
 
+RUN_SCHEMA = "planish.run/1"
 #: Exit code where --require-all finds a measurement that was not tied in.
 NOT_TIED_IN = 3
 
@@ -75,8 +76,9 @@ def register_files(
     storage.write_json(
         out / "run.json",
         {
+            "schema": RUN_SCHEMA,
             "measurements": {m.name: str(path.resolve()) for m, path in zip(loaded, files, strict=True)},
-            "started": time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(started)),
+            "time": time.strftime("%Y-%m-%dT%H:%M:%S%z", time.localtime(started)),
             "seconds": round(time.time() - started, 3),
             "threads": thread_count(threads),
             "machine": platform.platform(),
