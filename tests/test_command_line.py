@@ -26,9 +26,9 @@ def test_without_a_command_the_help_lists_all_of_them():
 
 
 def test_an_unknown_command_ends_with_2():
-    outcome = planish("regster")
+    outcome = planish("unheard-of")
     assert outcome.code == 2
-    assert "regster" in outcome.err
+    assert "unheard-of" in outcome.err
 
 
 def test_an_interrupt_ends_with_130_and_words(tmp_path):
