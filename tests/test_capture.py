@@ -95,7 +95,7 @@ def test_the_rig_of_opencv_files_gets_the_frame_of_the_organising_camera(folder)
     [
         ({"exposure": 3}, "unknown key 'exposure'"),
         ({"sequence": [{"role": "white", "bit": 1}] + SEQUENCE[1:]}, "unknown key 'sequence.0.white.bit'"),
-        ({"sequence": [{"role": "grey"}] + SEQUENCE[1:]}, "'sequence.0' is {'role': 'grey'}"),
+        ({"sequence": [{"role": "grey"}] + SEQUENCE[1:]}, "'sequence.0' has role 'grey'"),
         ({"sequence": [{"axis": "u"}] + SEQUENCE[1:]}, "'sequence.0' is {'axis': 'u'}"),
         ({"sequence": [{"role": "phase", "period_px": 20, "step": 4, "steps": 4}] + SEQUENCE[1:]}, "must be below"),
         ({"sequence": [{"role": "phase", "period_px": 0, "step": 0, "steps": 4}] + SEQUENCE[1:]}, "period_px"),

@@ -72,6 +72,9 @@ def _input_error(error: ValidationError, subject: str) -> InputError:
         elif item["type"] == "missing":
             found.append(f"key '{key}' is missing")
             expected.append(f"a value for '{key}'")
+        elif item["type"] == "union_tag_invalid":
+            found.append(f"'{key}' has {item['ctx']['discriminator'].strip(chr(39))} '{item['ctx']['tag']}'")
+            expected.append(f"one of {item['ctx']['expected_tags']}")
         else:
             value = repr(item["input"])
             found.append(f"'{key}' is {value if len(value) <= 80 else value[:77] + '...'}")

@@ -80,7 +80,7 @@ def measure(
     count = thread_count(threads)
     found = find_captures(captures, images)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as progress:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("measuring", total=len(found))
         for capture in found:
             progress.update(task, description=f"measuring {capture.name}")

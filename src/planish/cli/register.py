@@ -66,7 +66,7 @@ def register_files(
     _require_unique([m.name for m in loaded], files)
     hashes = {m.name: (path.name, storage.sha256(path)) for m, path in zip(loaded, files, strict=True)}
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         tasks = {stage: bar.add_task(stage, total=None) for stage in ("texture", "pairs", "overlap")}
         run = register_run(
             loaded, options, reference=reference, files=hashes, threads=threads,
