@@ -121,6 +121,8 @@ def refine(
     return Refined(T_a_b, np.asarray(about), lever_mm, final, weights, converged, step)
 
 
+#: Far from the solution the slope of the influence can vanish; a step then goes no farther than twice.
+_MIN_SLOPE = 0.5
 #: Times that the robust scales are estimated anew on a coarse level.
 _SCALINGS = 3
 #: Fewer common pixels than this cannot be refined (six unknowns, tiles for the covariance).
@@ -130,7 +132,9 @@ MIN_POINTS = 300
 def _step(e: Equations, lever_mm: float, max_sigma_mm: float) -> Array:
     """Gauss-Newton step, without the directions that neither geometry nor texture holds."""
     scale = np.array([lever_mm] * 3 + [1.0] * 3)
-    H = (e.H_distance + e.H_texture) / np.outer(scale, scale)
+    # The gradient of a robust cost changes by its slope of H only: with H alone the steps fall short.
+    H = max(e.slope_distance, _MIN_SLOPE) * e.H_distance + max(e.slope_texture, _MIN_SLOPE) * e.H_texture
+    H = H / np.outer(scale, scale)
     g = (e.g_distance + e.g_texture) / scale
     values, vectors = np.linalg.eigh(H)
     held = values > 1 / max_sigma_mm**2
