@@ -61,7 +61,7 @@ def simulated(name: str, seeds: list[int]) -> dict[str, float | int | str]:
 def real_rows() -> list[dict[str, float | int | str]]:
     """Form errors of the real captures, where they are present."""
     sys.path.insert(0, str(ROOT / "tests" / "real"))
-    from captures import HERE, measured, plane_spread, robust_spread
+    from captures import HERE, measured, plane_spread
     from test_steel import PATCHES
 
     if not (HERE.parents[2] / "shared" / "data").is_dir():
@@ -73,13 +73,11 @@ def real_rows() -> list[dict[str, float | int | str]]:
         rows.append({"what": f"steel, {name}", "points": int(steel.valid.sum()), "share": float(valid.mean()),
                      "sigma": plane_spread(points[valid]), "known": known})  # fmt: skip
     ball = measured("ball_12step")
-    rows.append(
-        {"what": "ball, disc", "points": int(ball.valid.sum()), **ball_form(ball, robust_spread), "known": 0.0082}
-    )
+    rows.append({"what": "ball, disc", "points": int(ball.valid.sum()), **ball_form(ball), "known": 0.0082})
     return rows
 
 
-def ball_form(ball: Measurement, robust_spread: object) -> dict[str, float]:
+def ball_form(ball: Measurement) -> dict[str, float]:
     """Share of valid pixels in the disc and robust spread of their distances from the best sphere."""
     v, u = np.indices(ball.shape)
     disc = (u - 930) ** 2 + (v - 601) ** 2 <= 350**2

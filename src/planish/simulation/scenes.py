@@ -169,7 +169,7 @@ def _walk(
 
 
 def _zigzag(count: int, step_mm: float, height_mm: float, limit_mm: float) -> Array:
-    """Return a path (count, 2) that goes to and back between s = -limit_mm and limit_mm, up and down in t."""
+    """Return a path (count, 2) that goes back and forth between s = -limit_mm and limit_mm, up and down in t."""
     along = np.arange(count) * step_mm
     span = 2 * limit_mm
     s = span / 2 - np.abs(np.mod(along + max(0.0, span - step_mm * (count - 1)) / 2, 2 * span) - span)
