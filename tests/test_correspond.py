@@ -5,7 +5,6 @@ import pytest
 
 from planish import _core
 from planish.geometry import compose, exp_so3, invert
-from planish.measurement import NoiseModel, View
 from planish.rig import Camera
 from planish.sensing.correspond import Correspondences, correspond, undistortion_shifts
 from planish.sensing.decode import PhaseMap
@@ -22,10 +21,8 @@ SIGMA = 0.01
 
 def phase_map(positions, sigma=SIGMA):
     positions = positions.astype(np.float32)
-    view = View(None, None, None, 0, NoiseModel(1, 0), 255.0)
-    return PhaseMap(
-        "u", positions, np.full(positions.shape, sigma, np.float32), np.zeros(positions.shape, np.uint16), view
-    )
+    sigmas, rejected = np.full(positions.shape, sigma, np.float32), np.zeros(positions.shape, np.uint16)
+    return PhaseMap("u", positions, sigmas, rejected)
 
 
 def plane_maps(rig, tilt=(0.1, -0.05)):

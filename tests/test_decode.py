@@ -5,8 +5,9 @@ import pytest
 
 from planish import _core
 from planish.measurement import REJECTIONS, NoiseModel
-from planish.sensing.decode import DecodeOptions, decode, decode_views
-from planish.sensing.sequence import read_layout
+from planish.sensing.decode import DecodeOptions, decode
+from planish.sensing.observe import observe
+from planish.sensing.sequence import read_layouts
 from reference import sensing as reference
 from sequences import gray_entries, manifest, phase_entries, render
 
@@ -23,11 +24,23 @@ def ramp(shape=(40, 640), start=0.0, end=1278.0):
     return np.linspace(start, end, shape[1])[None, :] + np.linspace(0, 0.9, shape[0])[:, None]
 
 
+def layout_of(plan):
+    (layout,) = read_layouts(plan, "test")
+    return layout
+
+
+def observed(images, plan):
+    """What camera A saw, of the one axis that the sequence encodes."""
+    seen = observe({"A": images}.__getitem__, ("A",), layout_of(plan), DecodeOptions(), "test", 2)["A"]
+    (phase,) = seen.phases.values()
+    return phase, seen.view
+
+
 def decoded(entries, positions, model=QUIET, coarse=None, bits=8, projector=(1280, 800), **more):
     plan = manifest(entries, projector_px=projector)
     images = render(plan.sequence, positions, bits=bits, **more)
     saturation = 255.0 if bits == 8 else 65535.0
-    return decode(images, read_layout(plan, "test"), model, saturation, DecodeOptions(), 2, coarse)
+    return decode(images, layout_of(plan).codes[0], model, saturation, DecodeOptions(), 2, coarse)[0]
 
 
 def rejected_for(result, reason):
@@ -53,9 +66,9 @@ def test_positions_just_outside_the_first_and_last_pixel_keep_their_side():
 def test_the_kernel_equals_its_numpy_twin():
     entries = phase_entries([1280, 160, 20], steps=5)
     plan = manifest(entries, projector_px=(1280, 800))
-    layout = read_layout(plan, "test")
+    layout = layout_of(plan)
     images = render(plan.sequence, ramp(start=50.0, end=1200.0), noise=(1.0, 0.02))
-    found = decode(images, layout, NoiseModel(1.0, 0.02), 255.0, DecodeOptions(), 2).position_px
+    found = decode(images, layout.codes[0], NoiseModel(1.0, 0.02), 255.0, DecodeOptions(), 2)[0].position_px
     stacks = [np.stack([images[i] for i in p.images]) for p in layout.periods]
     expected = reference.decode(
         stacks, [p.angles for p in layout.periods], [p.period_px for p in layout.periods], start=-0.5
@@ -81,8 +94,7 @@ def test_gray_code_with_cells_of_half_a_period_counts_the_fringes(inverse):
         entries += [{"role": "white"}, {"role": "black"}]
     plan = manifest(entries, projector_px=(1280, 800))
     images = render(plan.sequence, positions)
-    layout = read_layout(plan, "test")
-    result = decode_views({"A": images, "B": images}, layout, DecodeOptions(), "test", 2)["A"]
+    result, _ = observed(images, plan)
     assert np.abs(result.position_px - positions).max() < ROUNDING_PX
 
 
@@ -90,10 +102,10 @@ def test_gray_code_without_white_is_compared_with_the_mean_of_the_fringes():
     positions = ramp(end=1270.0)
     plan = manifest(phase_entries([20], steps=12, sign=-1) + gray_entries(7, 10))
     images = render(plan.sequence, positions)
-    result = decode_views({"A": images}, read_layout(plan, "test"), DecodeOptions(), "test", 2)["A"]
+    result, view = observed(images, plan)
     assert np.abs(result.position_px - positions).max() < ROUNDING_PX
-    assert result.view.white is None
-    assert result.view.mean_images == 12
+    assert view.white is None
+    assert view.mean_images == 12
 
 
 def test_fringes_that_start_elsewhere_than_the_cells_are_counted_right():
@@ -101,7 +113,7 @@ def test_fringes_that_start_elsewhere_than_the_cells_are_counted_right():
     positions = ramp(end=1250.0)
     plan = manifest(phase_entries([20], steps=6) + gray_entries(7, 10) + [{"role": "white"}, {"role": "black"}])
     shifted = render(plan.sequence[:6], positions - 5.3) + render(plan.sequence[6:], positions)
-    result = decode_views({"A": shifted}, read_layout(plan, "test"), DecodeOptions(), "test", 2)["A"]
+    result, _ = observed(shifted, plan)
     assert np.abs(result.position_px - (positions - 5.3)).max() < ROUNDING_PX
 
 
@@ -109,7 +121,7 @@ def test_square_waves_are_read_as_phase_steps():
     positions = ramp((8, 640), 100, 300)
     plan = manifest(phase_entries([16], steps=8, wave="square") + gray_entries(7, 8))
     images = render(plan.sequence, positions)
-    result = decode_views({"A": images}, read_layout(plan, "test"), DecodeOptions(), "test", 2)["A"]
+    result, _ = observed(images, plan)
     # Eight steps of a square wave leave harmonics 7 and 9: half a step, 16 / 8 / 2 = 1 px, at the very most.
     assert np.nanmax(np.abs(result.position_px - positions)) < 1.0
     assert np.isfinite(result.position_px).mean() > 0.99
@@ -129,7 +141,6 @@ def test_saturated_steps_are_left_out():
     positions = ramp((20, 640))
     entries = phase_entries([1280, 160, 20], steps=6)
     result = decoded(entries, positions, offset=40, amplitude=240)
-    assert (result.view.saturation, result.view.mean.max() > 150) == (255.0, True)
     # Of 6 steps one or two are lost; the worst geometry of four steps doubles the error of rounding.
     assert np.nanmax(np.abs(result.position_px - positions)) < 2 * ROUNDING_PX
     assert not result.rejected.any()
@@ -147,15 +158,15 @@ def test_pixels_without_fringes_are_rejected_as_dark():
     assert rejected_for(result, "dark").mean() > 0.99
 
 
-def test_contradicting_periods_are_rejected_as_code():
+def test_contradicting_periods_are_rejected_as_slips():
     positions = ramp()
     plan = manifest(phase_entries([1280, 160, 20]), projector_px=(1280, 800))
     moved = positions.copy()
     moved[:, 300:340] += 80
     images = render(plan.sequence[:4], positions) + render(plan.sequence[4:8], moved)
     images += render(plan.sequence[8:], positions)
-    result = decode(images, read_layout(plan, "test"), QUIET, 255.0, DecodeOptions(), 2)
-    assert rejected_for(result, "code")[:, 300:340].mean() > 0.95
+    result, *_ = decode(images, layout_of(plan).codes[0], QUIET, 255.0, DecodeOptions(), 2)
+    assert rejected_for(result, "slip")[:, 300:340].mean() > 0.95
     assert not result.rejected[:, :295].any()
 
 
@@ -168,7 +179,7 @@ def test_a_single_slipped_pixel_takes_the_periods_of_its_neighbours_and_keeps_it
     # Only the coarsest period is wrong there, as from a speck of dirt.
     for k, image in enumerate(render(plan.sequence[:4], slipped)):
         images[k] = image
-    result = decode(images, read_layout(plan, "test"), QUIET, 255.0, DecodeOptions(), 2)
+    result, *_ = decode(images, layout_of(plan).codes[0], QUIET, 255.0, DecodeOptions(), 2)
     assert abs(result.position_px[10, 200] - positions[10, 200]) < ROUNDING_PX
     assert not result.rejected.any()
 
@@ -177,7 +188,7 @@ def test_the_result_does_not_depend_on_the_number_of_threads():
     plan = manifest(phase_entries([1280, 160, 20]), projector_px=(1280, 800))
     images = render(plan.sequence, ramp((37, 640)), noise=(1.0, 0.02))
     results = [
-        decode(images, read_layout(plan, "test"), NoiseModel(1.0, 0.02), 255.0, DecodeOptions(), n) for n in (1, 2, 7)
+        decode(images, layout_of(plan).codes[0], NoiseModel(1.0, 0.02), 255.0, DecodeOptions(), n)[0] for n in (1, 2, 7)
     ]
     for other in results[1:]:
         assert results[0].position_px.tobytes() == other.position_px.tobytes()

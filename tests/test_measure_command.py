@@ -130,7 +130,7 @@ def colour(path):
         (lambda c: edit(c, lambda m: m.update(comment="x")), ["unknown key 'comment'"]),
         (lambda c: edit(c, lambda m: m["sequence"][0].update(role="fringe")), ["capture.json", "fringe"]),
         (lambda c: edit(c, lambda m: m["sequence"][2].update(step=1)), ["steps [0, 1, 1, 3] of 4"]),
-        (lambda c: edit(c, lambda m: m.update(sequence=[{"role": "white"}] * 10)), ["no phase images"]),
+        (lambda c: edit(c, lambda m: m.update(sequence=[{"role": "white"}] * 10)), ["nothing that encodes a position"]),
         (lambda c: edit(c, lambda m: m["images"]["A"].pop()), ["images.A names 9 images", "10"]),
         (lambda c: edit(c, lambda m: m["images"].pop("B")), ["images and calibration of A and B"]),
         (lambda c: edit(c, lambda m: m.update(rig="other.json")), ["other.json"]),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planish.sensing.noise import estimate_image_noise, estimate_noise, full_scale
-from planish.sensing.sequence import read_layout
+from planish.sensing.sequence import read_layouts
 from sequences import manifest, phase_entries, render
 
 OFFSET, SLOPE = 1.6, 0.03
@@ -22,7 +22,7 @@ def images_of(entries, shape=(240, 320), gamma=1.0, seed=3):
         grey = 255 * (image / 65535 * albedo) ** gamma
         grey += rng.standard_normal(shape) * np.sqrt(OFFSET + SLOPE * grey)
         images.append(np.clip(np.round(grey), 0, 255).astype(np.uint8))
-    return images, read_layout(plan, "test")
+    return images, read_layouts(plan, "test")[0]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from planish.errors import InputError
-from planish.sensing.capture import Black, Gray, Phase, White
+from planish.sensing.entries import Black, Gray, Phase, White
 from planish.sensing.patterns import (
     encode,
     gray_sequence,

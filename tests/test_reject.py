@@ -22,7 +22,7 @@ def slope(shape=(30, 60)):
 
 def edges(position, sigma=0.01):
     result = reject_edges(phase_map(position, sigma), OPTIONS, 2)
-    return (result.rejected >> REJECTIONS.index("edge")) & 1 == 1
+    return (result.rejected >> REJECTIONS.index("mixed")) & 1 == 1
 
 
 def test_the_pixels_beside_a_jump_are_rejected_and_no_others():

@@ -174,8 +174,8 @@ void unwrap(const Level& level, const DecodeSettings& settings, std::size_t widt
         const float guess = absolute ? middle : position[u];
         const float joint = absolute ? 0.0F : variance[u] + own;
         const float unwrapped = x + P * fast_round((guess - x) * per_period);
-        rejected[u] |= std::fabs(guess - unwrapped) <= limit ? 0 : kCode;
-        rejected[u] |= joint > max_variance ? kCode : 0;
+        rejected[u] |= std::fabs(guess - unwrapped) <= limit ? 0 : kSlip;
+        rejected[u] |= joint > max_variance ? kSlip : 0;
         rejected[u] |= phase_variance[u] > dark ? kDark : 0;
         position[u] = unwrapped;
         variance[u] = own;
@@ -191,8 +191,8 @@ void finish(const DecodeSettings& settings, std::size_t width, const Row& row, f
     for (std::size_t u = 0; u < width; ++u) {
         const float x = position[u];
         const float moved = x < start ? x + length : (x >= end ? x - length : x);
-        position[u] = (rejected[u] & ~kCode) != 0 ? kNaN : (length > 0 ? moved : x);
-        sigma[u] = (rejected[u] & ~kCode) != 0 ? kNaN : std::sqrt(variance[u]);
+        position[u] = (rejected[u] & ~kSlip) != 0 ? kNaN : (length > 0 ? moved : x);
+        sigma[u] = (rejected[u] & ~kSlip) != 0 ? kNaN : std::sqrt(variance[u]);
     }
     for (std::size_t u = 0; u < width; ++u) out[u] = static_cast<std::uint16_t>(rejected[u]);
 }

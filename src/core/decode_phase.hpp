@@ -4,20 +4,9 @@
 #include <vector>
 
 #include "core/image.hpp"
+#include "core/rejection.hpp"
 
 namespace planish {
-
-/// Bits of a pixel without a point, in the order of planish.measurement.REJECTIONS.
-enum Rejection : std::uint16_t {
-    kMasked = 1,
-    kDark = 2,
-    kSaturated = 4,
-    kCode = 8,
-    kUnmatched = 16,
-    kEdge = 32,
-    kMismatch = 64,
-    kIsolated = 128,
-};
 
 /// The images of one fringe period; step k shows I_k = A + B cos(phi - angle_k).
 template <class T>

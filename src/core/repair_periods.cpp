@@ -5,8 +5,8 @@
 #include <cmath>
 #include <limits>
 
-#include "core/decode_phase.hpp"
 #include "core/parallel.hpp"
+#include "core/rejection.hpp"
 
 namespace planish {
 namespace {
@@ -58,7 +58,7 @@ void repair_periods(Image<const float> position, Image<const float> sigma, Image
             std::copy_n(sigma.row(v), width, out_s);
             std::copy_n(reason, width, out_reason);
             for (int u = 0; u < width; ++u) {
-                if (reason[u] != 0 && reason[u] != kCode) continue;
+                if (reason[u] != 0 && reason[u] != kSlip) continue;
                 const bool alike = (u > 0 && std::fabs(p[u] - p[u - 1]) <= near) ||
                                    (u + 1 < width && std::fabs(p[u] - p[u + 1]) <= near);
                 if (reason[u] == 0 && alike) continue;
@@ -67,7 +67,7 @@ void repair_periods(Image<const float> position, Image<const float> sigma, Image
                 if (periods == periods) {
                     out[u] = p[u] - periods * period;
                     out_reason[u] = 0;
-                } else if (reason[u] == kCode) {
+                } else if (reason[u] == kSlip) {
                     out[u] = out_s[u] = kNaN;
                 }
             }

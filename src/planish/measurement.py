@@ -21,14 +21,57 @@ Map = NDArray[np.float32]
 #: Why a pixel has no point: bit i of `Measurement.rejected` is the i-th name. 0 = a valid point.
 REJECTIONS = (
     "masked",  # excluded by the capture's mask or volume
-    "dark",  # fringe modulation below what its noise allows to decode
+    "dark",  # modulation below what its noise allows to decode
     "saturated",  # fewer than three unsaturated phase steps
-    "code",  # Gray code or phase hierarchy contradict each other
-    "unmatched",  # no point of equal phase on the epipolar line: hidden from the other camera
-    "edge",  # next to a jump in phase or depth: the pixel mixes two surfaces
-    "mismatch",  # the rays miss each other, or the projector's ray contradicts the point
+    "slip",  # the whole periods contradict each other: Gray code, coarser and finer fringes
+    "interreflection",  # coarse and fine fringes disagree by less than a period: light came by two ways
+    "mixed",  # beside a jump of the projector position: the pixel sees two surfaces
+    "unmatched",  # no point of equal position on the epipolar line: hidden from the other device
+    "mismatch",  # the rays miss each other, or the third device's ray contradicts the point
+    "edge",  # beside the rim of what is lit, or seen at grazing incidence
     "isolated",  # a small island without support from its neighbours
 )
+
+
+def rejection_bit(reason: str) -> np.uint16:
+    """Return the bit of `Measurement.rejected` that stands for a reason of REJECTIONS."""
+    return np.uint16(1 << REJECTIONS.index(reason))
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a capture says about itself: a quantity with its standard deviation, or that it cannot be observed.
+
+    Parameters
+    ----------
+    quantity : str
+        What was asked, for example "movement in camera A".
+    value : float or None
+        Answer in `unit`; None = not observable.
+    sigma : float or None
+        Its standard deviation; None where unknown.
+    unit : str
+        "" = a pure number.
+    source : str
+        How it was found, or why it is not observable.
+    warning : str
+        What the user should know; empty where all is well.
+    """
+
+    quantity: str
+    value: float | None
+    sigma: float | None
+    unit: str
+    source: str
+    warning: str = ""
+
+    def __str__(self) -> str:
+        """Return one line of text."""
+        if self.value is None:
+            return f"{self.quantity}: not observable ({self.source})"
+        sigma = "" if self.sigma is None else f" +- {self.sigma:.2g}"
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{self.quantity}: {self.value:.3g}{sigma}{unit} ({self.source})"
 
 
 @dataclass(frozen=True)
@@ -52,7 +95,7 @@ class View:
     white : ndarray (H, W) or None
         Image under blank projection, dark image subtracted where the sequence has one.
     mean : ndarray (H, W) or None
-        Mean of the fringe images (the texture with the least noise).
+        Mean of the images whose patterns cancel in it (the texture with the least noise).
     modulation : ndarray (H, W) or None
         Amplitude of the fringes (texture under projector light alone).
     mean_images : int
@@ -90,13 +133,15 @@ class Measurement:
     rejected : ndarray (H, W) uint16
         Bit mask of the names in REJECTIONS; 0 = valid.
     correspondence_px : ndarray (H, W, 2) float32 or None
-        Pixel (u, v) of the same point in the other camera [px].
+        Pixel (u, v) of the same point in the other camera [px]; NaN where the point comes from camera and projector.
     views : dict of View
         Per camera name.
     texture_views : tuple of str
         Cameras whose images may serve as texture.
     resampled : bool
         True where an unorganised cloud was rendered onto the pixel grid.
+    findings : tuple of Finding
+        What the capture says about itself: movement, row error of the rig, gamma, ...
     """
 
     name: str
@@ -109,6 +154,7 @@ class Measurement:
     views: dict[str, View]
     texture_views: tuple[str, ...]
     resampled: bool
+    findings: tuple[Finding, ...] = ()
 
     @property
     def camera(self) -> Camera:

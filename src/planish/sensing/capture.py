@@ -2,75 +2,26 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from types import TracebackType
+from typing import Literal, Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import Field, PositiveInt
 
 from planish import storage
 from planish.errors import InputError
 from planish.options import Strict, thread_count
 from planish.rig import Rig
+from planish.sensing.entries import Entry
+from planish.sensing.images import GreyImage, describe, read_grey
 from planish.sensing.opencv_rig import read_opencv_rig
 
 SCHEMA = "planish.capture/1"
-
-#: Grey values (H, W) of one image, uint8 or uint16.
-GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
-
-
-class White(Strict):
-    """Every projector pixel on."""
-
-    role: Literal["white"]
-
-
-class Black(Strict):
-    """Every projector pixel off."""
-
-    role: Literal["black"]
-
-
-class Phase(Strict):
-    """One step of a phase shift: I = A + B cos(phi - sign 2 pi step / steps), phi = 2 pi u / period_px.
-
-    `wave` "square" is a square wave shifted in equal steps, read as if it were a cosine.
-    """
-
-    role: Literal["phase"]
-    axis: Literal["u", "v"] = "u"
-    period_px: PositiveFloat
-    step: int = Field(ge=0)
-    steps: int = Field(ge=3)
-    sign: Literal[1, -1] = 1
-    wave: Literal["sine", "square"] = "sine"
-
-    @model_validator(mode="after")
-    def _step_in_range(self) -> Self:
-        if self.step >= self.steps:
-            raise ValueError(f"step {self.step} must be below steps = {self.steps}")
-        return self
-
-
-class Gray(Strict):
-    """One bit of the reflected Gray code of the cell index; bit b has weight 2^b; cell k starts at pixel k cell_px.
-
-    With cells of half a fringe period the lowest bit is what is known as the complementary bit.
-    """
-
-    role: Literal["gray"]
-    axis: Literal["u", "v"] = "u"
-    bit: int = Field(ge=0, le=15)
-    inverse: bool = False
-    cell_px: PositiveFloat = 1.0
-
-
-Entry = Annotated[White | Black | Phase | Gray, Field(discriminator="role")]
 
 
 class Box(Strict):
@@ -153,17 +104,8 @@ class Capture:
 
     def read_images(self, camera: str, threads: int | None = None) -> list[GreyImage]:
         """Return all images of a camera (each (H, W), one type and size), read in parallel."""
-        count = len(self.manifest.sequence)
-        with ThreadPoolExecutor(thread_count(threads)) as pool:
-            images = list(pool.map(lambda i: self.read_image(camera, i), range(count)))
-        for index, image in enumerate(images):
-            if image.shape != images[0].shape or image.dtype != images[0].dtype:
-                raise InputError(
-                    self.image_path(camera, index),
-                    f"is {_describe(image)}",
-                    f"{_describe(images[0])} like {self.image_path(camera, 0).name}",
-                )
-        return images
+        with ImageReader(self, (camera,), thread_count(threads)) as reader:
+            return reader.take(camera)
 
     def read_mask(self, camera: str) -> NDArray[np.bool_] | None:
         """Return the mask (H, W) of a camera, True where the image counts, or None."""
@@ -189,31 +131,50 @@ class Capture:
         raise AssertionError
 
 
-def read_grey(path: Path) -> GreyImage:
-    """Return a grey image (H, W), uint8 or uint16; errors name the file."""
-    if not path.is_file():
-        raise InputError(path, "no such file", "an image of the sequence")
-    try:
-        image: Any = cv2.imdecode(np.fromfile(path, np.uint8), cv2.IMREAD_UNCHANGED) if _whole(path) else None
-    except (cv2.error, OSError):
-        image = None
-    if image is None:
-        raise InputError(path, "cannot be decoded: truncated or not an image", "a grey image of 8 or 16 bit")
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
-        raise InputError(path, f"is {_describe(image)}", "a grey image of 8 or 16 bit (one channel)")
-    return image
+class ImageReader:
+    """Reads all images of a capture side by side, in the order of the cameras, while those that came are used.
 
+    Parameters
+    ----------
+    capture : Capture
+        What to read.
+    cameras : sequence of str
+        Names; the first is wanted first.
+    threads : int
+        Images read at a time.
+    """
 
-def _whole(path: Path) -> bool:
-    # Some versions of OpenCV return a truncated PNG with its missing rows black and no error: look for the end chunk.
-    with path.open("rb") as file:
-        start = file.read(8)
-        if start != b"\x89PNG\r\n\x1a\n":
-            return len(start) > 0
-        file.seek(max(0, path.stat().st_size - 64))
-        return b"IEND" in file.read()
+    def __init__(self, capture: Capture, cameras: Sequence[str], threads: int) -> None:
+        self._capture = capture
+        self._pool = ThreadPoolExecutor(threads)
+        self._images: dict[str, list[Future[GreyImage]]] = {
+            camera: [self._pool.submit(capture.read_image, camera, k) for k in range(len(capture.manifest.sequence))]
+            for camera in cameras
+        }
 
+    def take(self, camera: str) -> list[GreyImage]:
+        """Wait for the images (each (H, W), one type and size) of a camera, and forget them.
 
-def _describe(image: NDArray[Any]) -> str:
-    channels = "" if image.ndim == 2 else f", {image.shape[2]} channels"
-    return f"{image.shape[1]} x {image.shape[0]} px, {8 * image.dtype.itemsize} bit{channels}"
+        Raises
+        ------
+        InputError
+            Where one cannot be read, or differs in size or type; the message names the file.
+        """
+        images = [future.result() for future in self._images.pop(camera)]
+        for index, image in enumerate(images):
+            if image.shape != images[0].shape or image.dtype != images[0].dtype:
+                raise InputError(
+                    self._capture.image_path(camera, index),
+                    f"is {describe(image)}",
+                    f"{describe(images[0])} like {self._capture.image_path(camera, 0).name}",
+                )
+        return images
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # An error or an interrupt must not wait for images that nobody will use.
+        self._pool.shutdown(cancel_futures=True)

@@ -11,7 +11,7 @@ from planish.geometry import Array
 from planish.measurement import REJECTIONS, Measurement, View
 from planish.options import Options
 from planish.rig import Camera, Rig
-from planish.sensing.capture import GreyImage
+from planish.sensing.images import GreyImage
 from planish.sensing.noise import estimate_image_noise, full_scale
 from planish.sensing.render_cloud import render_cloud
 

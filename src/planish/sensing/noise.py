@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.measurement import NoiseModel
-from planish.sensing.capture import GreyImage
+from planish.sensing.images import GreyImage
 from planish.sensing.sequence import Layout
 
 Array = NDArray[np.float64]

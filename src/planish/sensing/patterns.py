@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from planish.errors import InputError
 from planish.geometry import Array
-from planish.sensing.capture import Black, Entry, Gray, Phase, White
+from planish.sensing.entries import Black, Entry, Gray, Phase, Statistical, White
 
 #: Fringe periods [projector px] of the reference sequence, each shown in REFERENCE_STEPS steps.
 REFERENCE_PERIODS_PX = (1280.0, 160.0, 20.0)
@@ -31,6 +31,8 @@ def encode(entry: Entry, coordinate_px: ArrayLike) -> Array:
         return np.zeros_like(u)
     if isinstance(entry, Phase):
         return _encode_phase(entry, u)
+    if isinstance(entry, Statistical):
+        raise InputError("sequence", "a statistical pattern, which is not known", "white, black, phase or Gray")
     return _encode_gray(entry, u)
 
 
@@ -48,7 +50,7 @@ def projector_image(entry: Entry, projector_px: tuple[int, int]) -> Array:
 
 def axis_of(entry: Entry) -> str:
     """Return the projector axis "u" or "v" along which an entry varies ("u" for white and black)."""
-    return entry.axis if isinstance(entry, (Phase, Gray)) else "u"
+    return entry.axis if isinstance(entry, (Phase, Gray, Statistical)) else "u"
 
 
 def phase_steps(period_px: float, steps: int, axis: str = "u", wave: str = "sine") -> list[Entry]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planish import _core
-from planish.measurement import REJECTIONS, Map
+from planish.measurement import Map, rejection_bit
 from planish.options import Options
 from planish.rig import Camera
 from planish.sensing.capture import Box
@@ -58,7 +58,7 @@ def reject_edges(phase: PhaseMap, options: RejectOptions, threads: int) -> Phase
     """Return the map without the pixels beside a jump: they mix two surfaces, and no interpolation may bridge them."""
     jump_px = options.edge_px * position_slope(phase.position_px)
     edge = _core.phase_edges(phase.position_px, phase.sigma_px, jump_px, options.sigmas, threads)
-    return phase.without(edge.view(np.bool_), "edge")
+    return phase.without(edge.view(np.bool_), "mixed")
 
 
 def reject_points(
@@ -136,4 +136,4 @@ def _distance(points: Map, own: Camera) -> Map:
 
 
 def _mark(rejected: NDArray[np.uint16], pixels: Mask, reason: str) -> None:
-    rejected[pixels] |= np.uint16(1 << REJECTIONS.index(reason))
+    rejected[pixels] |= rejection_bit(reason)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from planish.errors import InputError
-from planish.sensing.capture import Gray, Manifest, Phase
-
-Axis = Literal["u", "v"]
+from planish.sensing.capture import Manifest
+from planish.sensing.entries import Axis, Entry, Gray, Phase, Statistical
 
 
 @dataclass(frozen=True)
@@ -38,7 +36,7 @@ class GrayCode:
 
 
 @dataclass(frozen=True)
-class Layout:
+class AxisCode:
     """How a sequence encodes the projector position along one axis.
 
     Parameters
@@ -46,11 +44,9 @@ class Layout:
     axis : "u" or "v"
         The projector axis.
     periods : tuple of PeriodSteps
-        From the longest period to the shortest; at least one.
+        From the longest period to the shortest; none where the Gray code stands alone.
     gray : GrayCode or None
-        Without it the longest period is absolute.
-    white, black : tuple of int
-        Indices of the images under full and no projection.
+        Without it the periods together are absolute.
     extent_px : float or None
         Projector pixels along the axis, where known.
     """
@@ -58,8 +54,6 @@ class Layout:
     axis: Axis
     periods: tuple[PeriodSteps, ...]
     gray: GrayCode | None
-    white: tuple[int, ...]
-    black: tuple[int, ...]
     extent_px: float | None
 
     @property
@@ -68,45 +62,119 @@ class Layout:
         return tuple(index for period in self.periods for index in period.images)
 
 
-def read_layout(manifest: Manifest, subject: str, projector_size_px: tuple[int, int] | None = None) -> Layout:
-    """Return the layout of a manifest's sequence; errors name `subject`.
+@dataclass(frozen=True)
+class Layout:
+    """What the images of one exposure are good for.
+
+    Parameters
+    ----------
+    codes : tuple of AxisCode
+        One per projector axis that is encoded, "u" first.
+    statistical : tuple of int
+        Indices of the images of statistical patterns.
+    white, black : tuple of int
+        Indices of the images under full and no projection.
+    exposure_ms : float or None
+        Exposure time, where the sequence is repeated with several.
+    """
+
+    codes: tuple[AxisCode, ...]
+    statistical: tuple[int, ...]
+    white: tuple[int, ...]
+    black: tuple[int, ...]
+    exposure_ms: float | None
+
+    @property
+    def phase_images(self) -> tuple[int, ...]:
+        """Indices of the phase images of all axes."""
+        return tuple(index for code in self.codes for index in code.phase_images)
+
+    @property
+    def periods(self) -> tuple[PeriodSteps, ...]:
+        """The phase steps of all axes."""
+        return tuple(period for code in self.codes for period in code.periods)
+
+
+def read_layouts(
+    manifest: Manifest, subject: str, projector_size_px: tuple[int, int] | None = None
+) -> tuple[Layout, ...]:
+    """Return the layouts of a manifest's sequence, one per exposure from the longest to the shortest.
+
+    Parameters
+    ----------
+    manifest : Manifest
+        Its `projector_px` goes before `projector_size_px`.
+    subject : str
+        Named in errors.
+    projector_size_px : tuple of int or None
+        (width, height) of the rig's projector.
 
     Raises
     ------
     InputError
-        Where the sequence has no phase images, steps or bits are missing or given twice, or where nothing tells which
-        fringe is which.
+        Where nothing encodes a position, steps or bits are missing or given twice, or nothing tells which fringe is
+        which.
     """
-    entries = manifest.sequence
-    axis: Axis = "u" if any(isinstance(e, Phase) and e.axis == "u" for e in entries) else "v"
-    phases = [(i, e) for i, e in enumerate(entries) if isinstance(e, Phase) and e.axis == axis]
-    grays = [(i, e) for i, e in enumerate(entries) if isinstance(e, Gray) and e.axis == axis]
-    if not phases:
-        raise InputError(f"{subject}: sequence", "no phase images", "all steps of at least one fringe period")
+    entries = list(enumerate(manifest.sequence))
+    exposures = {entry.exposure_ms for _, entry in entries}
+    if None in exposures and len(exposures) > 1:
+        raise InputError(f"{subject}: sequence", "some entries have an exposure_ms, some have none", "all or none")
     size = manifest.projector_px or projector_size_px
-    extent = None if size is None else float(size[0 if axis == "u" else 1])
-    layout = Layout(
-        axis,
-        tuple(_period(subject, p, phases) for p in sorted({e.period_px for _, e in phases}, reverse=True)),
-        _gray(subject, grays) if grays else None,
-        tuple(i for i, e in enumerate(entries) if e.role == "white"),
-        tuple(i for i, e in enumerate(entries) if e.role == "black"),
-        extent,
+    longest_first = sorted(exposures, key=lambda exposure: -(exposure or 0.0))
+    return tuple(
+        _layout([(i, e) for i, e in entries if e.exposure_ms == exposure], exposure, subject, size)
+        for exposure in longest_first
     )
-    longest = layout.periods[0].period_px
-    if layout.gray is None and extent is not None and longest < extent:
+
+
+def _layout(
+    entries: list[tuple[int, Entry]], exposure: float | None, subject: str, size: tuple[int, int] | None
+) -> Layout:
+    codes = []
+    for axis in ("u", "v"):
+        phases = [(i, e) for i, e in entries if isinstance(e, Phase) and e.axis == axis]
+        grays = [(i, e) for i, e in entries if isinstance(e, Gray) and e.axis == axis]
+        if phases or grays:
+            extent = None if size is None else float(size[0 if axis == "u" else 1])
+            codes.append(_axis_code(axis, phases, grays, extent, subject))
+    statistical = tuple(i for i, e in entries if isinstance(e, Statistical))
+    if not codes and not statistical:
+        raise InputError(
+            f"{subject}: sequence",
+            "nothing that encodes a position",
+            "all steps of at least one fringe period, Gray bits, or statistical patterns",
+        )
+    if codes and statistical:
+        raise InputError(f"{subject}: sequence", "statistical patterns and fringes or Gray bits", "one or the other")
+    white = tuple(i for i, e in entries if e.role == "white")
+    return Layout(tuple(codes), statistical, white, tuple(i for i, e in entries if e.role == "black"), exposure)
+
+
+def _axis_code(
+    axis: Axis,
+    phases: list[tuple[int, Phase]],
+    grays: list[tuple[int, Gray]],
+    extent: float | None,
+    subject: str,
+) -> AxisCode:
+    periods = tuple(_period(subject, p, phases) for p in sorted({e.period_px for _, e in phases}, reverse=True))
+    code = AxisCode(axis, periods, _gray(subject, grays) if grays else None, extent)
+    if not periods:
+        return code
+    longest = periods[0].period_px
+    if code.gray is None and extent is not None and longest < extent:
         raise InputError(
             f"{subject}: sequence",
             f"the longest period is {longest:g} of {extent:g} projector px and there is no Gray code",
             "a period as long as the projector, or Gray bits, to tell the fringes apart",
         )
-    if layout.gray is not None and layout.gray.cell_px > longest:
+    if code.gray is not None and code.gray.cell_px > longest:
         raise InputError(
             f"{subject}: sequence",
-            f"Gray cells of {layout.gray.cell_px:g} px are longer than the longest period, {longest:g} px",
+            f"Gray cells of {code.gray.cell_px:g} px are longer than the longest period, {longest:g} px",
             "cells of one period or less (half a period is robust)",
         )
-    return layout
+    return code
 
 
 def _period(subject: str, period_px: float, phases: list[tuple[int, Phase]]) -> PeriodSteps:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from planish.errors import InputError
 from planish.geometry import Array, compose, exp_so3, invert
 from planish.rig import Camera, Rig
-from planish.sensing.capture import Entry
+from planish.sensing.entries import Entry
 from planish.sensing.patterns import axis_of, projector_profile
 
 _CameraRow = tuple[tuple[float, ...], tuple[float, ...], float, tuple[float, float], tuple[float, float]]

@@ -13,7 +13,7 @@ from planish import storage
 from planish.errors import InputError
 from planish.options import thread_count
 from planish.sensing.capture import SCHEMA as CAPTURE_SCHEMA
-from planish.sensing.capture import Entry, Gray, Phase
+from planish.sensing.entries import Entry, Gray, Phase
 from planish.simulation.render import Images, render_capture, trace_capture
 from planish.simulation.scenes import Scene
 

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from planish import _core
 from planish.errors import InputError
 from planish.measurement import Map
-from planish.sensing.capture import GreyImage
 from planish.sensing.decode.average import mean_image
-from planish.sensing.sequence import Layout
+from planish.sensing.images import GreyImage
+from planish.sensing.sequence import AxisCode, Layout
 
 #: Every so many rows and columns serve to estimate the offset of the cells.
 SAMPLE_STRIDE = 6
@@ -23,7 +23,7 @@ MIN_AGREEMENT = 0.3
 MIN_MODULATION = 0.2
 
 
-def gray_positions(images: Sequence[GreyImage], layout: Layout, threads: int) -> Map:
+def gray_positions(images: Sequence[GreyImage], code: AxisCode, layout: Layout, threads: int) -> Map:
     """Return the projector position (H, W) [px] of the centre of each pixel's Gray cell.
 
     Cell k reaches from pixel coordinate k c - 0.5 to (k + 1) c - 0.5, c being its length.
@@ -33,23 +33,24 @@ def gray_positions(images: Sequence[GreyImage], layout: Layout, threads: int) ->
     A bit is lit where its image is brighter than its inverse; without inverse images, than the mean of white and black;
     without these, than the mean of the fringe images.
     """
-    code = layout.gray
-    assert code is not None
-    selected = [images[i] for i in (*code.images, *(i for i in code.inverse if i >= 0))]
-    position = {index: k for k, index in enumerate((*code.images, *(i for i in code.inverse if i >= 0)))}
-    inverse = [position[i] if i >= 0 else -1 for i in code.inverse]
-    threshold = np.empty((0, 0), np.float32) if min(inverse) >= 0 else _threshold(images, layout)
+    gray = code.gray
+    assert gray is not None
+    wanted = (*gray.images, *(i for i in gray.inverse if i >= 0))
+    selected = [images[i] for i in wanted]
+    position = {index: k for k, index in enumerate(wanted)}
+    inverse = [position[i] if i >= 0 else -1 for i in gray.inverse]
+    threshold = np.empty((0, 0), np.float32) if min(inverse) >= 0 else _threshold(images, code, layout)
     cell = _core.decode_gray(selected, inverse, threshold, threads)
-    return (cell + np.float32(0.5)) * np.float32(code.cell_px) - np.float32(0.5)
+    return (cell + np.float32(0.5)) * np.float32(gray.cell_px) - np.float32(0.5)
 
 
-def _threshold(images: Sequence[GreyImage], layout: Layout) -> Map:
+def _threshold(images: Sequence[GreyImage], code: AxisCode, layout: Layout) -> Map:
     if layout.white and layout.black:
         return np.asarray(0.5 * (mean_image(images, layout.white) + mean_image(images, layout.black)), np.float32)
-    return mean_image(images, layout.phase_images)
+    return mean_image(images, code.phase_images)
 
 
-def gray_offset(views: Sequence[tuple[Sequence[GreyImage], Map]], layout: Layout, subject: str) -> float:
+def gray_offset(views: Sequence[tuple[Sequence[GreyImage], Map]], code: AxisCode, subject: str) -> float:
     """Return the constant by which Gray positions exceed phase positions, in (-P/2, P/2] [px].
 
     Sequences in use differ in where the phase is zero relative to the cells: some start a fringe at the border of a
@@ -60,7 +61,7 @@ def gray_offset(views: Sequence[tuple[Sequence[GreyImage], Map]], layout: Layout
     ----------
     views : sequence of (images, Gray positions (H, W))
         Of all cameras.
-    layout : Layout
+    code : AxisCode
         What the images show.
     subject : str
         Named in errors.
@@ -69,7 +70,7 @@ def gray_offset(views: Sequence[tuple[Sequence[GreyImage], Map]], layout: Layout
     -----
     Circular mean of (Gray - phase) / P over all pixels with good modulation (Mardia & Jupp, Directional Statistics).
     """
-    steps = layout.periods[0]
+    steps = code.periods[0]
     total, count = 0j, 0
     for images, position in views:
         stack = np.stack([images[i][::SAMPLE_STRIDE, ::SAMPLE_STRIDE] for i in steps.images]).astype(float)
@@ -78,9 +79,8 @@ def gray_offset(views: Sequence[tuple[Sequence[GreyImage], Map]], layout: Layout
         gray = np.exp(2j * np.pi * position[::SAMPLE_STRIDE, ::SAMPLE_STRIDE][usable] / steps.period_px)
         total += (gray * np.exp(-1j * np.angle(wave[usable]))).sum()
         count += int(usable.sum())
-    code = layout.gray
-    assert code is not None
-    if code.cell_px > 0.75 * steps.period_px:
+    assert code.gray is not None
+    if code.gray.cell_px > 0.75 * steps.period_px:
         return 0.0
     if count == 0 or abs(total) < MIN_AGREEMENT * count:
         raise InputError(

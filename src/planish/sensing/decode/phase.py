@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planish import _core
-from planish.measurement import REJECTIONS, Map, NoiseModel, View
+from planish.measurement import Map, NoiseModel, rejection_bit
 from planish.options import Options
-from planish.sensing.capture import GreyImage
-from planish.sensing.decode.average import mean_image
-from planish.sensing.sequence import Axis, Layout
+from planish.sensing.entries import Axis
+from planish.sensing.images import GreyImage
+from planish.sensing.sequence import AxisCode
 
 #: Neighbours that differ by more than so many standard deviations lie on different surfaces.
 AGREEMENT_SIGMAS = 5.0
@@ -48,42 +48,39 @@ class PhaseMap:
         Its standard deviation [projector px].
     rejected : ndarray (H, W) uint16
         Bit mask of measurement.REJECTIONS.
-    view : View
-        White, mean and modulation of the same camera.
     """
 
     axis: Axis
     position_px: Map = field(metadata={"unit": "projector px"})
     sigma_px: Map = field(metadata={"unit": "projector px"})
     rejected: NDArray[np.uint16] = field(metadata={"unit": "bit mask of REJECTIONS"})
-    view: View
 
     def without(self, pixels: NDArray[np.bool_], reason: str) -> PhaseMap:
         """Return the map with `pixels` (H, W) rejected for a reason of measurement.REJECTIONS."""
-        bit = np.uint16(1 << REJECTIONS.index(reason))
+        bit = rejection_bit(reason)
         position = np.where(pixels, np.float32(np.nan), self.position_px)
         sigma = np.where(pixels, np.float32(np.nan), self.sigma_px)
         rejected = self.rejected | np.where(pixels, bit, np.uint16(0))
-        return PhaseMap(self.axis, position, sigma, rejected, self.view)
+        return PhaseMap(self.axis, position, sigma, rejected)
 
 
 def decode(
     images: Sequence[GreyImage],
-    layout: Layout,
+    code: AxisCode,
     noise: NoiseModel,
     saturation: float,
     options: DecodeOptions,
     threads: int,
     coarse_px: Map | None = None,
-) -> PhaseMap:
-    """Return the absolute projector position of every pixel of one camera.
+) -> tuple[PhaseMap, Map, Map]:
+    """Return the absolute projector position of every pixel of one camera, and mean and amplitude of its fringes.
 
     Parameters
     ----------
     images : sequence of ndarray (H, W), uint8 or uint16
         All images of the camera in the order of the sequence.
-    layout : Layout
-        What they show.
+    code : AxisCode
+        What they show; at least one period.
     noise : NoiseModel
         Variance of a grey value.
     saturation : float
@@ -93,7 +90,7 @@ def decode(
     threads : int
         Number of threads; the result does not depend on it.
     coarse_px : ndarray (H, W) or None
-        Positions by Gray code, in phase with the fringes; needed where the layout has a Gray code.
+        Positions by Gray code, in phase with the fringes; needed where the axis has a Gray code.
 
     Notes
     -----
@@ -102,19 +99,19 @@ def decode(
     solved by least squares. Single pixels with a wrong number of whole periods take that of their neighbours; no phase
     is changed by them.
     """
-    angles = [angle for period in layout.periods for angle in period.angles]
-    extent, longest = layout.extent_px, layout.periods[0].period_px
+    angles = [angle for period in code.periods for angle in period.angles]
+    extent, longest = code.extent_px, code.periods[0].period_px
     # The longest period is absolute from half a pixel before the first projector pixel on, with the spare halved.
     start = -0.5 - (0.5 * (longest - extent) if extent is not None else 0.0)
-    gray = layout.gray
+    gray = code.gray
     # Half a cell is what a right code may be off; the limit lies half-way between that and a slip.
     coarse_limit = 0.25 * (longest + gray.cell_px) if gray is not None else 0.0
     position, sigma, mean, modulation, rejected = _core.decode_phase(
-        [images[i] for i in layout.phase_images],
-        [len(period.images) for period in layout.periods],
+        [images[i] for i in code.phase_images],
+        [len(period.images) for period in code.periods],
         [float(np.cos(angle)) for angle in angles],
         [float(np.sin(angle)) for angle in angles],
-        [period.period_px for period in layout.periods],
+        [period.period_px for period in code.periods],
         NOTHING if coarse_px is None else coarse_px,
         saturation,
         noise.offset,
@@ -128,15 +125,9 @@ def decode(
     # One phase step from pixel to pixel is what neighbours on one surface may differ by.
     tolerance = position_slope(np.where(rejected == 0, position, np.float32(np.nan)))
     position, sigma, rejected = _core.repair_periods(
-        position, sigma, rejected, layout.periods[-1].period_px, tolerance, AGREEMENT_SIGMAS, threads
+        position, sigma, rejected, code.periods[-1].period_px, tolerance, AGREEMENT_SIGMAS, threads
     )
-    white = None
-    if layout.white:
-        white = mean_image(images, layout.white)
-        if layout.black:
-            white -= mean_image(images, layout.black)
-    view = View(white, mean, modulation, len(layout.phase_images), noise, saturation)
-    return PhaseMap(layout.axis, position, sigma, rejected, view)
+    return PhaseMap(code.axis, position, sigma, rejected), mean, modulation
 
 
 def position_slope(position_px: NDArray[np.float32], sample: int = 8) -> float:

@@ -1,0 +1,138 @@
+"""What each camera saw: projector positions per axis, texture, noise, and what its images say about themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planish.measurement import Finding, Map, NoiseModel, View
+from planish.sensing.decode import DecodeOptions, PhaseMap, decode
+from planish.sensing.decode.average import mean_image
+from planish.sensing.decode.gray import gray_offset, gray_positions
+from planish.sensing.entries import Axis
+from planish.sensing.images import GreyImage
+from planish.sensing.noise import estimate_noise, full_scale
+from planish.sensing.sequence import Layout
+
+
+@dataclass(frozen=True)
+class Observation:
+    """One camera's share of a capture.
+
+    Parameters
+    ----------
+    phases : dict of PhaseMap
+        Per projector axis; empty for statistical patterns.
+    view : View
+        White, mean and modulation.
+    findings : tuple of Finding
+        What the images say about themselves.
+    """
+
+    phases: dict[Axis, PhaseMap]
+    view: View
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """The images of one camera, their noise, and the positions by Gray code per axis."""
+
+    images: Sequence[GreyImage]
+    saturation: float
+    noise: NoiseModel
+    gray: dict[Axis, Map]
+
+
+def observe(
+    take: Callable[[str], Sequence[GreyImage]],
+    cameras: Sequence[str],
+    layout: Layout,
+    options: DecodeOptions,
+    subject: str,
+    threads: int,
+) -> dict[str, Observation]:
+    """Return what each camera saw, the cameras worked on side by side.
+
+    Parameters
+    ----------
+    take : callable
+        Returns the images (H, W) of a camera in the order of the sequence, once they are read.
+    cameras : sequence of str
+        Names.
+    layout : Layout
+        What the images show.
+    options : DecodeOptions
+        Limits.
+    subject : str
+        Named in errors.
+    threads : int
+        Number of threads; the result does not depend on it.
+    """
+    workers = min(threads, len(cameras))
+    own = max(1, threads // workers)
+    with ThreadPoolExecutor(workers) as pool:
+        stacks = dict(zip(cameras, pool.map(lambda name: _stack(take(name), layout, own), cameras), strict=True))
+        offsets = _gray_offsets(stacks, layout, subject)
+        found = pool.map(lambda name: _observe(stacks[name], layout, offsets, options, own), cameras)
+        return dict(zip(cameras, found, strict=True))
+
+
+def _stack(images: Sequence[GreyImage], layout: Layout, threads: int) -> _Stack:
+    saturation = full_scale(images)
+    gray = {code.axis: gray_positions(images, code, layout, threads) for code in layout.codes if code.gray is not None}
+    return _Stack(images, saturation, estimate_noise(images, layout, saturation), gray)
+
+
+def _gray_offsets(stacks: Mapping[str, _Stack], layout: Layout, subject: str) -> dict[Axis, float]:
+    # All cameras together: they would differ by a period if each had its own.
+    return {
+        code.axis: gray_offset([(stack.images, stack.gray[code.axis]) for stack in stacks.values()], code, subject)
+        for code in layout.codes
+        if code.gray is not None
+    }
+
+
+def _observe(
+    stack: _Stack, layout: Layout, offsets: Mapping[Axis, float], options: DecodeOptions, threads: int
+) -> Observation:
+    phases, means, modulations, counts = {}, [], [], []
+    for code in layout.codes:
+        coarse = stack.gray[code.axis] - np.float32(offsets[code.axis]) if code.gray is not None else None
+        found = decode(stack.images, code, stack.noise, stack.saturation, options, threads, coarse)
+        phases[code.axis], mean, modulation = found
+        means.append(mean)
+        modulations.append(modulation)
+        counts.append(len(code.phase_images))
+    view = View(
+        _white(stack.images, layout),
+        _average(means, counts),
+        _average(modulations, counts),
+        sum(counts),
+        stack.noise,
+        stack.saturation,
+    )
+    return Observation(phases, view)
+
+
+def _average(maps: Sequence[Map], counts: Sequence[int]) -> Map:
+    if len(maps) == 1:
+        return maps[0]
+    return np.asarray(np.average(maps, axis=0, weights=counts), np.float32)
+
+
+def _white(images: Sequence[GreyImage], layout: Layout) -> Map | None:
+    if not layout.white:
+        return None
+    white = mean_image(images, layout.white)
+    if layout.black:
+        white -= mean_image(images, layout.black)
+    return white
+
+
+def with_phases(observation: Observation, change: Callable[[PhaseMap], PhaseMap]) -> Observation:
+    """Return the observation with each of its PhaseMaps changed."""
+    return replace(observation, phases={axis: change(phase) for axis, phase in observation.phases.items()})
