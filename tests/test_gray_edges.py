@@ -87,7 +87,7 @@ def test_sigma_is_the_standard_deviation_of_the_position(cell_px, px_per_pixel):
     plan = code(cell_px=cell_px)
     phase = decoded(plan, blurred(plan.sequence, positions, NOISE))
     normalised = (phase.position_px - positions) / phase.sigma_px
-    # The lean of near edges on each other is in sigma as the other camera's reading of them needs it; without: too much.
+    # Sigma holds the lean of near edges on each other as the other camera feels it: alone it is somewhat too much.
     assert 0.75 < np.nanstd(normalised) < 1.1
     assert np.nanmax(np.abs(normalised)) < 8
 
