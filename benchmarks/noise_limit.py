@@ -186,8 +186,8 @@ def main() -> None:
     rows += rows_of("steel_corner_shiftline", patches, steel, False)
     columns = {"what": "part", "grey_a": "grey noise / model, A", "grey_b": "B",
                "predicted": "predicted sigma along the normal [mm]", "white": "white part [mm]",
-               "whole": "whole [mm]",
-               "fast": "whole without slow form [mm]", "white_ratio": "white / predicted", "whole_ratio": "whole / predicted",
+               "whole": "whole [mm]", "fast": "whole without slow form [mm]", "white_ratio": "white / predicted",
+               "whole_ratio": "whole / predicted",
                "efficient": "best estimate / equal weights"}  # fmt: skip
     formats = dict.fromkeys(("grey_a", "grey_b", "white_ratio", "whole_ratio", "efficient"), ".3f")
     save_table("noise-limit", columns, rows, "python benchmarks/noise_limit.py",
