@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.measurement import Measurement
-from planish.sensing.sequence import read_layout
+from planish.sensing.sequence import read_layouts
 from points import spread
 from render_tables import ROOT, save_table
 
@@ -125,7 +125,7 @@ def grey_noise(steps: Array, angles: Array, offset: float, slope: float) -> floa
 def grey_ratios(name: str, item: Measurement, parts: dict[str, Mask]) -> dict[str, dict[str, float]]:
     """Measured noise over modelled noise of each part, per camera."""
     capture = load(name)
-    period = read_layout(capture.manifest, str(capture.path)).periods[-1]
+    period = read_layouts(capture.manifest, str(capture.path))[0].periods[-1]
     found: dict[str, dict[str, float]] = {part: {} for part in parts}
     for camera in ("A", "B"):
         images, noise = capture.read_images(camera), item.views[camera].noise
