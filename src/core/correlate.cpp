@@ -26,9 +26,10 @@ constexpr double kStrideCorrelation = 0.9;
 constexpr int kMaxStride = 4, kLags = 33;
 /// Two places are different ones where the correlation between them would be lower.
 constexpr double kApartCorrelation = 0.5;
-/// Best places that are refined, among those whose correlation on the grid is within the margin of the best.
+/// Most places that are refined, best first.
 constexpr int kMaxCandidates = 4;
-constexpr float kMargin = 0.2F, kMinCorrelation = 0.5F;
+/// On the grid, at most half a stride and a row beside the place, a correlation is at least so much of the true one.
+constexpr float kGridShare = 0.85F;
 /// A pixel whose best place loses less is a mixture of what is seen there and something else.
 constexpr float kMixedLoss = 0.1F;
 /// Rows of the curves at the middle column lie within so many image heights.
@@ -100,6 +101,7 @@ class Scores {
   public:
     Scores(const CurveTable& table, int steps) : table_(table), steps_(steps) {
         for (auto& row : scores_) row.assign(static_cast<std::size_t>(table.blocks()) * kColumnBlock, 0.0F);
+        for (auto& row : highest_) row.assign(table.blocks(), 0.0F);
     }
 
     void compute(const std::array<OwnVector, kTogether>& own, int curve, int first, int last) {
@@ -113,22 +115,24 @@ class Scores {
                 const BlockMap b(unit + k * kColumnBlock);
                 for (int i = 0; i < kTogether; ++i) sum[i] += own[i].centred[k] * b;
             }
-            for (int i = 0; i < kTogether; ++i) Eigen::Map<Block>(at(i, block)) = sum[i];
+            for (int i = 0; i < kTogether; ++i) {
+                Eigen::Map<Block>(at(i, block)) = sum[i];
+                highest_[i][block] = sum[i].maxCoeff();
+            }
         }
         for (int i = 0; i < kTogether; ++i)
             if (own[i].steps > 0 && own[i].steps < steps_) normalise(own[i], i, curve);
         for (int i = 0; i < kTogether; ++i) scale_[i] = own[i].norm > 0 ? 1 / own[i].norm : 0;
     }
 
-    /// Best places, best first, no two of them nearer than `apart` columns.
-    int best(int pixel, int apart, std::array<Candidate, kMaxCandidates>& found) const {
+    /// Best places above a correlation `least`, best first, no two of them nearer than `apart` columns.
+    int best(int pixel, float least, int apart, std::array<Candidate, kMaxCandidates>& found) const {
         int count = 0;
-        float limit = kMinCorrelation / std::max(scale_[pixel], 1e-30F);
         for (; count < kMaxCandidates; ++count) {
-            Candidate top{-1, limit};
+            Candidate top{-1, least / scale_[pixel]};
             for (int block = first_; block < last_; ++block) {
+                if (highest_[pixel][block] <= top.correlation) continue;
                 const BlockMap values(at(pixel, block));
-                if (values.maxCoeff() < top.correlation) continue;
                 for (int i = 0; i < kColumnBlock; ++i) {
                     const int column = block * kColumnBlock + i;
                     if (values[i] <= top.correlation) continue;
@@ -137,7 +141,6 @@ class Scores {
                 }
             }
             if (top.column < 0) break;
-            if (count == 0) limit = std::max(limit, top.correlation - kMargin / scale_[pixel]);
             found[count] = top;
         }
         for (int i = 0; i < count; ++i) found[i].correlation *= scale_[pixel];
@@ -175,12 +178,13 @@ class Scores {
             const Block length = (squares - sum * sum / n).max(1e-12F).sqrt();
             Eigen::Map<Block> score(at(pixel, block));
             score = (squares > 0.05F).select(score / length, 0.0F);
+            highest_[pixel][block] = score.maxCoeff();
         }
     }
 
     const CurveTable& table_;
     int steps_, first_ = 0, last_ = 0;
-    std::array<std::vector<float>, kTogether> scores_;
+    std::array<std::vector<float>, kTogether> scores_, highest_;
     std::array<float, kTogether> scale_{};
 };
 
@@ -256,18 +260,20 @@ class Worker {
 
     Rejection match(int v, int u, int i) {
         std::array<Candidate, kMaxCandidates> found;
-        const int count = scores_.best(i, apart_, found);
+        const OwnVector& own = vectors_[i];
+        const float least = kGridShare * std::sqrt(1 - settings_.max_loss[own.steps]);
+        const int count = scores_.best(i, least, apart_, found);
         const EpipolarCurve curve(other_.shift_px, line(v, u));
         TemporalFit best, rival;
         CurvePiece best_piece;
         bool dark = false, mixed = false;
-        for (int c = 0; c < count; ++c) {
+        for (int c = 0; c < count && !(best.found && found[c].correlation < rival_correlation(best)); ++c) {
             const double start = scores_.peak(i, found[c].column) * table_.stride();
             const CurvePiece piece = piece_of(curve, start);
-            TemporalFit fit = fitter_.fit(vectors_[i], piece, start, false);
+            TemporalFit fit = fitter_.fit(own, piece, start, false);
             // Beside edges the spline mixes two surfaces, the four pixels around perhaps not.
-            if (!fit.found || !fits(fit)) {
-                const TemporalFit linear = fitter_.fit(vectors_[i], piece, start, true);
+            if (!fit.found || (fit.loss < kMixedLoss && !fits(fit))) {
+                const TemporalFit linear = fitter_.fit(own, piece, start, true);
                 if (linear.found && (!fit.found || linear.misfit < fit.misfit)) fit = linear;
             }
             if (!fit.found) continue;
@@ -290,6 +296,12 @@ class Worker {
         pixel[1] = static_cast<float>(best_piece.at(best.u));
         *out_.sigma_px.at(v, u) = best.sigma;
         return kNone;
+    }
+
+    /// Correlation on the grid that another place needs at least to fit as well as `best`, but for the gap demanded.
+    [[nodiscard]] float rival_correlation(const TemporalFit& best) const {
+        const float per_loss = static_cast<float>(best.steps) / best.expected_loss;
+        return kGridShare * std::sqrt(std::max(1 - (best.misfit + settings_.min_gap) / per_loss, 0.0F));
     }
 
     /// The curve near a column, a straight line: it bends by less than 1e-4 px over some pixels.

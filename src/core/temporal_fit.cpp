@@ -10,9 +10,9 @@ namespace {
 using Group = Eigen::Array<float, kStepGroup, 1>;
 using Steps = Eigen::Map<const Eigen::ArrayXf>;
 
-constexpr int kMaxIterations = 12;
-/// Steps along the curve below this are done [px].
-constexpr double kTolerance = 2e-4;
+constexpr int kMaxIterations = 8;
+/// After a step so short the next one is the last [px]: each leaves about a tenth of its square.
+constexpr double kNearlyThere = 0.1;
 /// Longest single step and longest way from the start [px].
 constexpr double kMaxStep = 0.75, kMaxWay = 6;
 /// A slope most of which is noise tells no place.
@@ -207,12 +207,12 @@ TemporalFit TemporalFitter::fit(const OwnVector& own, const CurvePiece& curve, d
         if (!solve(own, curve, false, step, out)) return out;
         u += std::clamp(step, -kMaxStep, kMaxStep);
         if (!(std::fabs(u - start) <= kMaxWay)) return out;
-        if (std::fabs(step) < kTolerance) break;
+        if (std::fabs(step) < kNearlyThere) break;
     }
     if (!(spline ? sample_spline(own, curve, u) : sample_linear(own, curve, u))) return out;
     if (!solve(own, curve, true, step, out)) return out;
-    out.found = std::fabs(step) < 0.5;
-    out.u = u;
+    out.found = std::fabs(step) < kNearlyThere;
+    out.u = u + step;
     return out;
 }
 

@@ -46,7 +46,7 @@ class CorrelateOptions(Options):
     """
 
     min_steps: int = Field(default=6, ge=6)
-    false_alarm: float = Field(default=1e-3, gt=0, lt=1)
+    false_alarm: float = Field(default=2e-4, gt=0, lt=1)
     misfit_sigmas: float = Field(default=4.75, gt=0)
     model_loss: float = Field(default=2e-3, ge=0, lt=0.5)
     min_gap: float = Field(default=25.0, ge=0)
