@@ -222,18 +222,24 @@ nb::tuple temporal_statistics(const std::vector<AnyImage>& images, float saturat
 
 /// `noise`: offset, slope and saturation, own then other.
 nb::tuple correlate(const std::vector<AnyImage>& own_images, const AnyIn<float>& own_shift,
-                    const std::vector<AnyImage>& other_images, const AnyIn<float>& other_shift, const AnyIn<float>& noise,
-                    const AnyIn<double>& F, int min_steps, const AnyIn<float>& max_loss, const AnyIn<float>& max_misfit,
-                    float model_loss, float min_gap, const AnyIn<float>& range, int range_spacing, int threads) {
+                    const std::vector<AnyImage>& other_images, const AnyIn<float>& other_shift,
+                    const AnyIn<float>& noise, const AnyIn<double>& F, int min_steps, const AnyIn<float>& max_loss,
+                    const AnyIn<float>& sure_loss, const AnyIn<float>& max_misfit, float model_loss, float min_gap,
+                    const AnyIn<float>& range, int range_spacing, int threads) {
     const bool any = !own_images.empty();
     const std::size_t h = any ? own_images[0].shape(0) : 0, w = any ? own_images[0].shape(1) : 0;
     auto pixel = make_array<float>({h, w, 2}), sigma = make_array<float>({h, w});
     auto rejected = make_array<std::uint16_t>({h, w});
     const Eigen::Matrix3d line = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(F.data());
     const float* n = noise.data();
-    const planish::CorrelateSettings settings{min_steps,  {max_loss.data(), max_loss.size()},
+    const planish::CorrelateSettings settings{min_steps,
+                                              {max_loss.data(), max_loss.size()},
+                                              {sure_loss.data(), sure_loss.size()},
                                               {max_misfit.data(), max_misfit.size()},
-                                              model_loss, min_gap, view_of(range), range_spacing};
+                                              model_loss,
+                                              min_gap,
+                                              view_of(range),
+                                              range_spacing};
     const auto shift = view_of(own_shift), shift_other = view_of(other_shift);
     const planish::CorrelateResult out{view_of(pixel), view_of(sigma), view_of(rejected)};
     {

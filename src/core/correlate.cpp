@@ -11,6 +11,7 @@
 #include "core/epipolar.hpp"
 #include "core/parallel.hpp"
 #include "core/temporal_fit.hpp"
+#include "core/temporal_support.hpp"
 
 namespace planish {
 namespace {
@@ -22,7 +23,7 @@ constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 /// Neighbouring pixels of a row that are searched on one curve: theirs differ by a fraction of a pixel.
 constexpr int kTogether = 4;
 /// Columns are left out as long as the correlation half-way between those looked at is as high.
-constexpr double kStrideCorrelation = 0.9;
+constexpr double kStrideCorrelation = 0.95;
 constexpr int kMaxStride = 4, kLags = 33;
 /// Two places are different ones where the correlation between them would be lower.
 constexpr double kApartCorrelation = 0.5;
@@ -159,9 +160,7 @@ class Scores {
 
   private:
     [[nodiscard]] float* at(int pixel, int block) { return scores_[pixel].data() + block * kColumnBlock; }
-    [[nodiscard]] const float* at(int pixel, int block) const {
-        return scores_[pixel].data() + block * kColumnBlock;
-    }
+    [[nodiscard]] const float* at(int pixel, int block) const { return scores_[pixel].data() + block * kColumnBlock; }
 
     /// Over fewer steps the other vectors have another mean and length.
     void normalise(const OwnVector& own, int pixel, int curve) {
@@ -193,9 +192,17 @@ class Worker {
   public:
     Worker(const CorrelateCamera& own, const CorrelateCamera& other, const TemporalView& view,
            const UnitVectorField& field, const CurveTable& table, const Eigen::Matrix3d& F,
-           const CorrelateSettings& settings, int apart, const CorrelateResult& out)
-        : own_(own), other_(other), table_(table), F_(F), settings_(settings), apart_(apart), out_(out),
-          fitter_(view, field, settings.min_steps), scores_(table, own.stack.steps) {
+           const CorrelateSettings& settings, int apart, const CorrelateResult& out, Image<std::uint8_t> weak)
+        : own_(own),
+          other_(other),
+          table_(table),
+          F_(F),
+          settings_(settings),
+          apart_(apart),
+          out_(out),
+          weak_(weak),
+          fitter_(view, field, settings.min_steps),
+          scores_(table, own.stack.steps) {
         for (auto& vector : vectors_)
             for (auto* values : {&vector.centred, &vector.weight, &vector.variance})
                 values->assign(own.stack.padded, 0.0F);
@@ -276,6 +283,8 @@ class Worker {
                 const TemporalFit linear = fitter_.fit(own, piece, start, true);
                 if (linear.found && (!fit.found || linear.misfit < fit.misfit)) fit = linear;
             }
+            // Without the likeliest place the others are chance.
+            if (fit.vague && !best.found) return kDark;
             if (!fit.found) continue;
             mixed = mixed || fit.loss < kMixedLoss;
             dark = dark || (misfit_allowed(fit) && !loss_allowed(fit));
@@ -295,6 +304,7 @@ class Worker {
         pixel[0] = static_cast<float>(best.u);
         pixel[1] = static_cast<float>(best_piece.at(best.u));
         *out_.sigma_px.at(v, u) = best.sigma;
+        *weak_.at(v, u) = std::max(best.loss, best.expected_loss) > settings_.sure_loss[best.steps] ? 1 : 0;
         return kNone;
     }
 
@@ -329,6 +339,7 @@ class Worker {
     const CorrelateSettings& settings_;
     int apart_;
     const CorrelateResult& out_;
+    Image<std::uint8_t> weak_;
     TemporalFitter fitter_;
     Scores scores_;
     std::array<OwnVector, kTogether> vectors_;
@@ -383,10 +394,14 @@ void correlate(const CorrelateCamera& own, const CorrelateCamera& other, const E
     const std::vector<double> correlation = column_correlation(view, std::min(kLags, stack.width));
     const int stride = stride_of(correlation), apart = lag_below(correlation, kApartCorrelation) / stride + 1;
     const CurveTable table(view, other.shift_px, epipole_of(F), stride, crossings(own, other, F), threads);
+    std::vector<std::uint8_t> weak(out.sigma_px.pixels());
+    const Image<std::uint8_t> weak_view{weak.data(), own.stack.height, own.stack.width, 1};
     parallel_for(static_cast<std::size_t>(own.stack.height), threads, [&](std::size_t begin, std::size_t end) {
-        Worker worker(own, other, view, field, table, F, settings, apart, out);
+        Worker worker(own, other, view, field, table, F, settings, apart, out, weak_view);
         for (std::size_t v = begin; v < end; ++v) worker.row(static_cast<int>(v));
     });
+    drop_unsupported({weak.data(), own.stack.height, own.stack.width, 1}, threads, out.pixel_px, out.sigma_px,
+                     out.rejected);
 }
 
 }  // namespace planish

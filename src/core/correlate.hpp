@@ -12,11 +12,12 @@ namespace planish {
 struct CorrelateSettings {
     int min_steps = 6;
     std::span<const float> max_loss;    ///< 1 - NCC^2 of a match; above it chance alone makes such correlations
+    std::span<const float> sure_loss;   ///< above it a match needs neighbours that agree
     std::span<const float> max_misfit;  ///< sum of squared residuals over their variances
     float model_loss = 0;               ///< 1 - NCC^2 that is no noise but what no model tells (defocus, curvature)
     float min_gap = 25;                 ///< by so much a match must fit better than every other one
-    /// Columns (low, high) of the other image to be searched, for every `range_spacing`-th pixel of the own image in both
-    /// directions; NaN where none. Empty: all columns.
+    /// Columns (low, high) of the other image to be searched, for every `range_spacing`-th pixel of the own image in
+    /// both directions; NaN where none. Empty: all columns.
     Image<const float> range_px;
     int range_spacing = 16;
 };

@@ -61,8 +61,7 @@ UnitVectorField::UnitVectorField(const TemporalStack& stack, const TemporalStati
       padded_(stack.padded),
       coefficients_(std::make_unique_for_overwrite<float[]>(static_cast<std::size_t>(height_) * width_ * padded_)) {
     using Vector = Eigen::Map<Eigen::ArrayXf>;
-    constexpr float kOuter = -1.0F / 6, kCentre = 8.0F / 6;
-    const auto length = static_cast<std::size_t>(width_) * padded_;
+    const auto length = static_cast<Eigen::Index>(width_) * padded_;
     const auto fill_row = [&](int v, std::vector<float>& unit) {
         for (int u = 0; u < width_; ++u) {
             const std::uint16_t* grey = stack.at(v, u);
@@ -70,31 +69,35 @@ UnitVectorField::UnitVectorField(const TemporalStack& stack, const TemporalStati
             float* out = &unit[static_cast<std::size_t>(u) * padded_];
             for (int k = 0; k < padded_; ++k) out[k] = (static_cast<float>(grey[k]) - mean) * scale;
             for (int k = stack.steps; k < padded_; ++k) out[k] = 0;
-            if (*usable.at(v, u) == 0 || *statistics.saturated.at(v, u) != 0) out[0] = std::numeric_limits<float>::quiet_NaN();
+            if (*usable.at(v, u) == 0 || *statistics.saturated.at(v, u) != 0)
+                out[0] = std::numeric_limits<float>::quiet_NaN();
         }
     };
     parallel_for(static_cast<std::size_t>(height_), threads, [&](std::size_t begin, std::size_t end) {
         const int first = static_cast<int>(begin), last = static_cast<int>(end);
-        std::vector<float> rows[3] = {std::vector<float>(length), std::vector<float>(length),
-                                      std::vector<float>(length)};
-        std::vector<float> column(length);
-        for (int v = std::max(first - 1, 0); v <= std::min(first, height_ - 1); ++v) fill_row(v, rows[v % 3]);
+        // Row v stands in rows[(v + 5) % 5]; those beyond the image are missing.
+        std::vector<float> rows[5], column(length);
+        const std::vector<float> missing(length, std::numeric_limits<float>::quiet_NaN());
+        const auto load = [&](int v) {
+            auto& row = rows[(v + 5) % 5];
+            row = missing;
+            if (v >= 0 && v < height_) fill_row(v, row);
+        };
+        for (int v = first - 2; v < first + 2; ++v) load(v);
         for (int v = first; v < last; ++v) {
-            float* out = coefficients_.get() + static_cast<std::size_t>(v) * length;
-            if (v + 1 < height_) fill_row(v + 1, rows[(v + 1) % 3]);
-            if (v == 0 || v + 1 == height_) {
-                std::fill(out, out + length, std::numeric_limits<float>::quiet_NaN());
-                continue;
-            }
-            const auto n = static_cast<Eigen::Index>(length);
-            Vector middle(column.data(), n);
-            middle = kOuter * (Vector(rows[(v + 2) % 3].data(), n) + Vector(rows[(v + 1) % 3].data(), n)) +
-                     kCentre * Vector(rows[v % 3].data(), n);
-            const Eigen::Index inner = n - 2 * padded_;
-            Vector(out + padded_, inner) =
-                kOuter * (middle.head(inner) + middle.tail(inner)) + kCentre * middle.segment(padded_, inner);
-            for (const std::size_t border : {std::size_t{0}, length - padded_})
-                std::fill(out + border, out + border + padded_, std::numeric_limits<float>::quiet_NaN());
+            load(v + 2);
+            Vector middle(column.data(), length);
+            middle.setZero();
+            for (int i = 0; i < 5; ++i) middle += kQuasiInterpolant[i] * Vector(rows[(v + 3 + i) % 5].data(), length);
+            Vector out(coefficients_.get() + v * length, length);
+            out = Vector(rows[v % 5].data(), length);
+            const Eigen::Index side = 2 * padded_, inner = length - 2 * side;
+            for (const Eigen::Index border : {Eigen::Index{0}, length - side})
+                for (int u = 0; u < 2; ++u) out[border + u * padded_] = std::numeric_limits<float>::quiet_NaN();
+            if (inner <= 0) continue;
+            out.segment(side, inner).setZero();
+            for (int i = 0; i < 5; ++i)
+                out.segment(side, inner) += kQuasiInterpolant[i] * middle.segment(i * padded_, inner);
         }
     });
 }

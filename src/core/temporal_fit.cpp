@@ -10,13 +10,15 @@ namespace {
 using Group = Eigen::Array<float, kStepGroup, 1>;
 using Steps = Eigen::Map<const Eigen::ArrayXf>;
 
-constexpr int kMaxIterations = 8;
+constexpr int kMaxIterations = 12;
+/// Instead of a number of columns: the spline.
+constexpr int kSpline = 0;
 /// After a step so short the next one is the last [px]: each leaves about a tenth of its square.
 constexpr double kNearlyThere = 0.1;
 /// Longest single step and longest way from the start [px].
 constexpr double kMaxStep = 0.75, kMaxWay = 6;
 /// A slope most of which is noise tells no place.
-constexpr float kMinSlopeShare = 0.2F;
+constexpr float kMinSlopeShare = 0.15F;
 
 /// Weights of the cubic B-spline for nodes at -1, 0, 1, 2 and a place f in [0, 1].
 std::array<float, 4> spline(float f) {
@@ -32,30 +34,45 @@ std::array<float, 4> spline_slope(float f) {
 /// Sums of squares and products of the weights that the pixels themselves have in value and slope.
 struct Moments {
     float value = 0, slope = 0, cross = 0;
+
+    void add(float w, float d) {
+        value += w * w;
+        slope += d * d;
+        cross += w * d;
+    }
 };
 
 Moments spline_moments(const std::array<float, 4>& w, const std::array<float, 4>& d) {
-    // The coefficients are -1/6, 8/6, -1/6 of the pixels: six of them take part.
-    const auto pixels = [](const std::array<float, 4>& c, std::array<float, 6>& out) {
-        for (int i = 0; i < 4; ++i) {
-            out[i] -= c[i] / 6;
-            out[i + 1] += 8 * c[i] / 6;
-            out[i + 2] -= c[i] / 6;
+    // Each coefficient is made of five pixels: eight of them take part.
+    std::array<float, 8> value{}, slope{};
+    for (int i = 0; i < 4; ++i)
+        for (int j = 0; j < 5; ++j) {
+            value[i + j] += w[i] * kQuasiInterpolant[j];
+            slope[i + j] += d[i] * kQuasiInterpolant[j];
         }
-    };
-    std::array<float, 6> value{}, slope{};
-    pixels(w, value);
-    pixels(d, slope);
     Moments m;
-    for (int i = 0; i < 6; ++i) {
-        m.value += value[i] * value[i];
-        m.slope += slope[i] * slope[i];
-        m.cross += value[i] * slope[i];
-    }
+    for (int i = 0; i < 8; ++i) m.add(value[i], slope[i]);
     return m;
 }
 
-Moments linear_moments(float f) { return {(1 - f) * (1 - f) + f * f, 2, 2 * f - 1}; }
+/// Weights of pixels at -1, 0, 1, 2 for value and slope at f in [0, 1]: cubic convolution (Keys 1981), or linear.
+struct PixelWeights {
+    std::array<float, 4> value{}, slope{};
+    Moments moments;
+
+    PixelWeights(float f, int taps) {
+        if (taps == 4) {
+            value = {((2 - f) * f - 1) * f / 2, (f * f * (3 * f - 5) + 2) / 2, f * (4 * f - 3 * f * f + 1) / 2,
+                     f * f * (f - 1) / 2};
+            slope = {(4 * f - 3 * f * f - 1) / 2, (9 * f * f - 10 * f) / 2, (8 * f - 9 * f * f + 1) / 2,
+                     (3 * f * f - 2 * f) / 2};
+        } else {
+            value = {0, 1 - f, f, 0};
+            slope = {0, -1, 1, 0};
+        }
+        for (int i = 0; i < 4; ++i) moments.add(value[i], slope[i]);
+    }
+};
 
 void combine(const Moments& u, const Moments& v, float s, VectorSample& out) {
     out.value_weight = u.value * v.value;
@@ -77,7 +94,7 @@ TemporalFitter::TemporalFitter(const TemporalView& other, const UnitVectorField&
     : other_(other), field_(field), min_steps_(min_steps) {
     const auto n = static_cast<std::size_t>(field.padded());
     for (auto* values : {&sample_.value, &sample_.slope, &sample_.weight}) values->resize(n);
-    for (auto& tap : taps_) tap.resize(n);
+    pixel_.resize(n);
 }
 
 void TemporalFitter::set_noise(int u, int v) {
@@ -116,46 +133,52 @@ bool TemporalFitter::sample_spline(const OwnVector& own, const CurvePiece& curve
     return true;
 }
 
-bool TemporalFitter::sample_linear(const OwnVector& own, const CurvePiece& curve, double u) {
-    const double v = curve.at(u);
-    if (!(u >= 0 && v >= 0 && u < field_.width() - 1 && v < field_.height() - 1)) return false;
-    const int left = static_cast<int>(u), top = static_cast<int>(v);
-    const auto fu = static_cast<float>(u - left), fv = static_cast<float>(v - top);
-    const auto s = static_cast<float>(curve.slope);
+/// Leaves out steps at which one of the pixels is saturated; false where a pixel is not usable or too few are left.
+bool TemporalFitter::weigh_steps(const OwnVector& own, int first_u, int last_u, int top) {
     sample_.weight = own.weight;
-    for (int i = 0; i < 4; ++i) {
-        if (*other_.usable.at(top + i / 2, left + i % 2) == 0) return false;
-        if (*other_.statistics.saturated.at(top + i / 2, left + i % 2) == 0) continue;
-        const std::uint16_t* grey = other_.stack.at(top + i / 2, left + i % 2);
-        for (int k = 0; k < other_.stack.steps; ++k)
-            if (static_cast<float>(grey[k]) >= other_.noise.saturation) sample_.weight[k] = 0;
-    }
+    for (int v = top; v <= top + 1; ++v)
+        for (int u = first_u; u <= last_u; ++u) {
+            if (*other_.usable.at(v, u) == 0) return false;
+            if (*other_.statistics.saturated.at(v, u) == 0) continue;
+            const std::uint16_t* grey = other_.stack.at(v, u);
+            for (int k = 0; k < other_.stack.steps; ++k)
+                if (static_cast<float>(grey[k]) >= other_.noise.saturation) sample_.weight[k] = 0;
+        }
+    sample_.steps = static_cast<int>(Steps(sample_.weight.data(), field_.padded()).sum());
+    return sample_.steps >= min_steps_;
+}
+
+bool TemporalFitter::sample_pixels(const OwnVector& own, const CurvePiece& curve, double u, int taps) {
+    const double v = curve.at(u);
+    const int margin = taps / 2 - 1;
+    if (!(u >= margin && v >= 0 && u < field_.width() - 1 - margin && v < field_.height() - 1)) return false;
+    const int left = static_cast<int>(u), top = static_cast<int>(v);
+    if (!weigh_steps(own, left - margin, left + 1 + margin, top)) return false;
+    const auto s = static_cast<float>(curve.slope);
+    const PixelWeights wu(static_cast<float>(u - left), taps), wv(static_cast<float>(v - top), 2);
     const Steps weight(sample_.weight.data(), field_.padded());
-    sample_.steps = static_cast<int>(weight.sum());
-    if (sample_.steps < min_steps_) return false;
-    const std::array<float, 4> value = {(1 - fu) * (1 - fv), fu * (1 - fv), (1 - fu) * fv, fu * fv};
-    const std::array<float, 4> slope = {-(1 - fv) - s * (1 - fu), (1 - fv) - s * fu, -fv + s * (1 - fu), fv + s * fu};
     Eigen::Map<Eigen::ArrayXf> sum(sample_.value.data(), field_.padded()), change(sample_.slope.data(), sum.size());
+    Eigen::Map<Eigen::ArrayXf> x(pixel_.data(), sum.size());
     sum.setZero();
     change.setZero();
-    float noise_offset = 0, noise_slope = 0;
-    for (int i = 0; i < 4; ++i) {
-        const std::uint16_t* grey = other_.stack.at(top + i / 2, left + i % 2);
-        for (int k = 0; k < field_.padded(); ++k) taps_[i][k] = static_cast<float>(grey[k]);
-        const Eigen::Map<Eigen::ArrayXf> x(taps_[i].data(), sum.size());
-        const float mean = (x * weight).sum() / static_cast<float>(sample_.steps);
-        centre(taps_[i], sample_.weight, sample_.steps);
-        const float norm = std::sqrt(x.square().sum());
-        if (!(norm > 0)) return false;
-        sum += (value[i] / norm) * x;
-        change += (slope[i] / norm) * x;
-        noise_offset += value[i] * (other_.noise.offset + other_.noise.slope * mean) / (norm * norm);
-        noise_slope += value[i] * other_.noise.slope / norm;
-    }
-    sample_.noise_offset = noise_offset;
-    sample_.noise_slope = noise_slope;
-    combine(linear_moments(fu), linear_moments(fv), s, sample_);
-    return true;
+    sample_.noise_offset = sample_.noise_slope = 0;
+    for (int j = 1; j <= 2; ++j)
+        for (int i = 1 - margin; i <= 2 + margin; ++i) {
+            const std::uint16_t* grey = other_.stack.at(top - 1 + j, left - 1 + i);
+            for (int k = 0; k < field_.padded(); ++k) pixel_[k] = static_cast<float>(grey[k]);
+            // Texture is taken out by the mean: over few steps the length of the vector changes too much from pixel to
+            // pixel to be interpolated away.
+            const float mean = (x * weight).sum() / static_cast<float>(sample_.steps);
+            if (!(mean > 0)) return false;
+            x = weight * (x - mean);
+            const float share = wu.value[i] * wv.value[j];
+            sum += (share / mean) * x;
+            change += ((wu.slope[i] * wv.value[j] + s * wu.value[i] * wv.slope[j]) / mean) * x;
+            sample_.noise_offset += share * (other_.noise.offset + other_.noise.slope * mean) / (mean * mean);
+            sample_.noise_slope += share * other_.noise.slope / mean;
+        }
+    combine(wu.moments, wv.moments, s, sample_);
+    return sample_.noise_offset > 0;
 }
 
 /// One Gauss-Newton step of min |a - gain b(u) - offset|^2, gain and offset eliminated.
@@ -175,7 +198,8 @@ bool TemporalFitter::solve(const OwnVector& own, const CurvePiece& curve, bool l
     const float raw = g.square().sum(), gg = raw - noise * sample_.slope_weight;
     if (!(bb > 0) || !(ab > 0)) return false;
     const float gain = ab / bb, information = gg - bg * bg / bb;
-    if (!(information > kMinSlopeShare * raw)) return false;
+    out.vague = !(information > kMinSlopeShare * raw);
+    if (out.vague) return false;
     step = (ag - gain * bg) / (gain * information);
     if (!last) return true;
     // Offsets: where the steps that count are fewer than those of own.centred, its mean over them differs.
@@ -186,8 +210,8 @@ bool TemporalFitter::solve(const OwnVector& own, const CurvePiece& curve, bool l
     const Eigen::ArrayXf residual = weight * (a - offset - gain * b);
     const Eigen::ArrayXf across = g - (bg / bb) * b;
     const float aa = (weight * (a - offset).square()).sum();
-    // var u = sum g_k^2 (var a_k + gain^2 w var b_k) / (gain^2 (g.g)^2), g across 1 and b. The first sum holds g with its
-    // own noise: that is right, for its product with the noise of the residual is part of the error.
+    // var u = sum g_k^2 (var a_k + gain^2 w var b_k) / (gain^2 (g.g)^2), g across 1 and b. The first sum holds g with
+    // its own noise: that is right, for its product with the noise of the residual is part of the error.
     out.sigma = std::sqrt((across.square() * total).sum() * static_cast<float>(1 + curve.slope * curve.slope)) /
                 (gain * information);
     out.misfit = (residual.square() / total).sum();
@@ -197,20 +221,30 @@ bool TemporalFitter::solve(const OwnVector& own, const CurvePiece& curve, bool l
     return true;
 }
 
+bool TemporalFitter::sample(const OwnVector& own, const CurvePiece& curve, double u, int& taps) {
+    // Once the spline or the four columns do not reach, they are not tried again: the place must not jump to and fro.
+    if (taps == kSpline && !sample_spline(own, curve, u)) taps = 4;
+    if (taps == kSpline) return true;
+    if (taps == 4 && sample_pixels(own, curve, u, taps)) return true;
+    taps = 2;
+    return sample_pixels(own, curve, u, taps);
+}
+
 TemporalFit TemporalFitter::fit(const OwnVector& own, const CurvePiece& curve, double start, bool linear) {
     TemporalFit out;
     double u = start, step = 0;
-    bool spline = !linear;
+    int taps = linear ? 2 : kSpline;
+    // The maximum lies right of `low` and left of `high`. Much noise makes the correlation bend elsewhere than expected,
+    // and steps overshoot: then the middle is taken.
+    double low = start - kMaxWay, high = start + kMaxWay;
     for (int i = 0; i < kMaxIterations; ++i) {
-        spline = spline && sample_spline(own, curve, u);
-        if (!spline && !sample_linear(own, curve, u)) return out;
-        if (!solve(own, curve, false, step, out)) return out;
+        if (!sample(own, curve, u, taps) || !solve(own, curve, false, step, out)) return out;
+        (step > 0 ? low : high) = u;
         u += std::clamp(step, -kMaxStep, kMaxStep);
-        if (!(std::fabs(u - start) <= kMaxWay)) return out;
+        if (u <= low || u >= high) u = 0.5 * (low + high);
         if (std::fabs(step) < kNearlyThere) break;
     }
-    if (!(spline ? sample_spline(own, curve, u) : sample_linear(own, curve, u))) return out;
-    if (!solve(own, curve, true, step, out)) return out;
+    if (!sample(own, curve, u, taps) || !solve(own, curve, true, step, out)) return out;
     out.found = std::fabs(step) < kNearlyThere;
     out.u = u + step;
     return out;

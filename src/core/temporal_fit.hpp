@@ -44,6 +44,7 @@ struct CurvePiece {
 /// Place of the best correlation on the curve.
 struct TemporalFit {
     bool found = false;
+    bool vague = false;  ///< the vectors are alike, but do not change along the curve by more than noise
     double u = 0;
     float sigma = 0;
     float loss = 1;           ///< 1 - NCC^2
@@ -55,13 +56,15 @@ struct TemporalFit {
 class TemporalFitter {
   public:
     TemporalFitter(const TemporalView& other, const UnitVectorField& field, int min_steps);
-    /// Maximises the temporal correlation from column `start` on: by the spline, or where it has gaps, by the four
-    /// pixels around (`linear`: by these in any case).
+    /// Maximises the temporal correlation from column `start` on: by the spline, or where it has gaps or
+    /// steps are saturated, by the pixels themselves, 4 x 2 or 2 x 2 of them (`linear`: by these in any case).
     TemporalFit fit(const OwnVector& own, const CurvePiece& curve, double start, bool linear);
 
   private:
     bool sample_spline(const OwnVector& own, const CurvePiece& curve, double u);
-    bool sample_linear(const OwnVector& own, const CurvePiece& curve, double u);
+    bool sample_pixels(const OwnVector& own, const CurvePiece& curve, double u, int taps);
+    bool sample(const OwnVector& own, const CurvePiece& curve, double u, int& taps);
+    bool weigh_steps(const OwnVector& own, int first_u, int last_u, int top);
     void set_noise(int u, int v);
     bool solve(const OwnVector& own, const CurvePiece& curve, bool last, double& step, TemporalFit& out);
 
@@ -69,7 +72,7 @@ class TemporalFitter {
     const UnitVectorField& field_;
     int min_steps_;
     VectorSample sample_;
-    std::array<std::vector<float>, 4> taps_;
+    std::vector<float> pixel_;
 };
 
 }  // namespace planish

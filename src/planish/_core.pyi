@@ -156,6 +156,7 @@ def correlate(
     F: F64,
     min_steps: int,
     max_loss: F32,
+    sure_loss: F32,
     max_misfit: F32,
     model_loss: float,
     min_gap: float,

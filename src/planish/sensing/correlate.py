@@ -34,7 +34,9 @@ class CorrelateOptions(Options):
     min_steps : int
         Images below saturation that a pixel needs; fewer cannot tell places apart.
     false_alarm : float
-        Probability with which chance alone may reach the correlation demanded, in a whole image row of unlike places.
+        Probability with which chance alone may reach, somewhere on a whole image row, the correlation demanded.
+    alone_false_alarm : float
+        The same for pixels whose neighbours do not agree with them.
     misfit_sigmas : float
         A match fits where the sum of squared residuals, in units of their variances, stays below the quantile of its
         chi-square distribution that a normal distribution reaches at so many standard deviations.
@@ -46,7 +48,8 @@ class CorrelateOptions(Options):
     """
 
     min_steps: int = Field(default=6, ge=6)
-    false_alarm: float = Field(default=2e-4, gt=0, lt=1)
+    false_alarm: float = Field(default=0.1, gt=0, lt=1)
+    alone_false_alarm: float = Field(default=1e-6, gt=0, lt=1)
     misfit_sigmas: float = Field(default=4.75, gt=0)
     model_loss: float = Field(default=2e-3, ge=0, lt=0.5)
     min_gap: float = Field(default=25.0, ge=0)
@@ -117,6 +120,10 @@ def correlate(
         F = F[[1, 0, 2]]
     noise = [own_noise.offset, own_noise.slope, saturation[0], other_noise.offset, other_noise.slope, saturation[1]]
     steps = np.arange(len(own) + 1)
+    max_loss, sure_loss = (
+        np.array([_chance_loss(int(n), probability, max(other_camera.size_px)) for n in steps], np.float32)
+        for probability in (options.false_alarm, options.alone_false_alarm)
+    )
     pixel, sigma, rejected = _core.correlate(
         [np.ascontiguousarray(image) for image in own],
         undistortion_shifts(own_camera, threads),
@@ -125,7 +132,8 @@ def correlate(
         np.array(noise, np.float32),
         np.ascontiguousarray(F),
         options.min_steps,
-        np.array([_chance_loss(int(n), options.false_alarm, max(other_camera.size_px)) for n in steps], np.float32),
+        max_loss,
+        sure_loss,
         _largest_misfit(steps, options.misfit_sigmas).astype(np.float32),
         options.model_loss,
         options.min_gap,
