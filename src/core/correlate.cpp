@@ -192,7 +192,8 @@ class Worker {
   public:
     Worker(const CorrelateCamera& own, const CorrelateCamera& other, const TemporalView& view,
            const UnitVectorField& field, const CurveTable& table, const Eigen::Matrix3d& F,
-           const CorrelateSettings& settings, int apart, const CorrelateResult& out, Image<std::uint8_t> weak)
+           const CorrelateSettings& settings, int apart, const CorrelateResult& out, Image<std::uint8_t> weak,
+           Image<float> loss)
         : own_(own),
           other_(other),
           table_(table),
@@ -201,6 +202,7 @@ class Worker {
           apart_(apart),
           out_(out),
           weak_(weak),
+          loss_(loss),
           fitter_(view, field, settings.min_steps),
           scores_(table, own.stack.steps) {
         for (auto& vector : vectors_)
@@ -305,6 +307,7 @@ class Worker {
         pixel[1] = static_cast<float>(best_piece.at(best.u));
         *out_.sigma_px.at(v, u) = best.sigma;
         *weak_.at(v, u) = std::max(best.loss, best.expected_loss) > settings_.sure_loss[best.steps] ? 1 : 0;
+        *loss_.at(v, u) = best.loss;
         return kNone;
     }
 
@@ -340,6 +343,7 @@ class Worker {
     int apart_;
     const CorrelateResult& out_;
     Image<std::uint8_t> weak_;
+    Image<float> loss_;
     TemporalFitter fitter_;
     Scores scores_;
     std::array<OwnVector, kTogether> vectors_;
@@ -395,11 +399,15 @@ void correlate(const CorrelateCamera& own, const CorrelateCamera& other, const E
     const int stride = stride_of(correlation), apart = lag_below(correlation, kApartCorrelation) / stride + 1;
     const CurveTable table(view, other.shift_px, epipole_of(F), stride, crossings(own, other, F), threads);
     std::vector<std::uint8_t> weak(out.sigma_px.pixels());
+    std::vector<float> loss(weak.size());
+    const Image<float> loss_view{loss.data(), own.stack.height, own.stack.width, 1};
     const Image<std::uint8_t> weak_view{weak.data(), own.stack.height, own.stack.width, 1};
     parallel_for(static_cast<std::size_t>(own.stack.height), threads, [&](std::size_t begin, std::size_t end) {
-        Worker worker(own, other, view, field, table, F, settings, apart, out, weak_view);
+        Worker worker(own, other, view, field, table, F, settings, apart, out, weak_view, loss_view);
         for (std::size_t v = begin; v < end; ++v) worker.row(static_cast<int>(v));
     });
+    drop_contested({loss.data(), own.stack.height, own.stack.width, 1}, stack.height, stack.width, out.pixel_px,
+                   out.sigma_px, out.rejected);
     drop_unsupported({weak.data(), own.stack.height, own.stack.width, 1}, threads, out.pixel_px, out.sigma_px,
                      out.rejected);
 }

@@ -234,8 +234,8 @@ TemporalFit TemporalFitter::fit(const OwnVector& own, const CurvePiece& curve, d
     TemporalFit out;
     double u = start, step = 0;
     int taps = linear ? 2 : kSpline;
-    // The maximum lies right of `low` and left of `high`. Much noise makes the correlation bend elsewhere than expected,
-    // and steps overshoot: then the middle is taken.
+    // The maximum lies right of `low` and left of `high`. Much noise makes the correlation bend elsewhere than
+    // expected, and steps overshoot: then the middle is taken.
     double low = start - kMaxWay, high = start + kMaxWay;
     for (int i = 0; i < kMaxIterations; ++i) {
         if (!sample(own, curve, u, taps) || !solve(own, curve, false, step, out)) return out;

@@ -12,4 +12,9 @@ namespace planish {
 void drop_unsupported(Image<const std::uint8_t> weak, int threads, Image<float> pixel_px, Image<float> sigma_px,
                       Image<std::uint16_t> rejected);
 
+/// Takes the points of pixels away (NaN, unmatched) whose place in the other image, `height` x `width`, another pixel
+/// far from them has with less `loss`: two surfaces cannot be seen at one place, one of them is hidden there.
+void drop_contested(Image<const float> loss, int height, int width, Image<float> pixel_px, Image<float> sigma_px,
+                    Image<std::uint16_t> rejected);
+
 }  // namespace planish
