@@ -6,6 +6,7 @@
 #include <limits>
 #include <vector>
 
+#include "core/curve_scores.hpp"
 #include "core/curve_table.hpp"
 #include "core/decode_phase.hpp"
 #include "core/epipolar.hpp"
@@ -16,19 +17,12 @@
 namespace planish {
 namespace {
 
-using Block = Eigen::Array<float, kColumnBlock, 1>;
-using BlockMap = Eigen::Map<const Block>;
-
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
-/// Neighbouring pixels of a row that are searched on one curve: theirs differ by a fraction of a pixel.
-constexpr int kTogether = 4;
 /// Columns are left out as long as the correlation half-way between those looked at is as high.
 constexpr double kStrideCorrelation = 0.95;
 constexpr int kMaxStride = 4, kLags = 33;
 /// Two places are different ones where the correlation between them would be lower.
 constexpr double kApartCorrelation = 0.5;
-/// Most places that are refined, best first.
-constexpr int kMaxCandidates = 4;
 /// On the grid, at most half a stride and a row beside the place, a correlation is at least so much of the true one.
 constexpr float kGridShare = 0.85F;
 /// A pixel whose best place loses less is a mixture of what is seen there and something else.
@@ -37,11 +31,6 @@ constexpr float kMixedLoss = 0.1F;
 constexpr double kMaxHeights = 2;
 constexpr int kColdIterations = 6;
 constexpr Rejection kNone{};
-
-struct Candidate {
-    int column = -1;
-    float correlation = 0;
-};
 
 /// Everything that belongs to one camera.
 struct Prepared {
@@ -96,96 +85,6 @@ bool own_vector(const TemporalStack& stack, const GreyNoise& noise, int min_step
     out.norm = std::sqrt(squares);
     return true;
 }
-
-/// Correlations of four own vectors with every column of a curve.
-class Scores {
-  public:
-    Scores(const CurveTable& table, int steps) : table_(table), steps_(steps) {
-        for (auto& row : scores_) row.assign(static_cast<std::size_t>(table.blocks()) * kColumnBlock, 0.0F);
-        for (auto& row : highest_) row.assign(table.blocks(), 0.0F);
-    }
-
-    void compute(const std::array<OwnVector, kTogether>& own, int curve, int first, int last) {
-        first_ = first;
-        last_ = last;
-        for (int block = first; block < last; ++block) {
-            const float* unit = table_.block(curve, block);
-            std::array<Block, kTogether> sum;
-            for (auto& s : sum) s.setZero();
-            for (int k = 0; k < steps_; ++k) {
-                const BlockMap b(unit + k * kColumnBlock);
-                for (int i = 0; i < kTogether; ++i) sum[i] += own[i].centred[k] * b;
-            }
-            for (int i = 0; i < kTogether; ++i) {
-                Eigen::Map<Block>(at(i, block)) = sum[i];
-                highest_[i][block] = sum[i].maxCoeff();
-            }
-        }
-        for (int i = 0; i < kTogether; ++i)
-            if (own[i].steps > 0 && own[i].steps < steps_) normalise(own[i], i, curve);
-        for (int i = 0; i < kTogether; ++i) scale_[i] = own[i].norm > 0 ? 1 / own[i].norm : 0;
-    }
-
-    /// Best places above a correlation `least`, best first, no two of them nearer than `apart` columns.
-    int best(int pixel, float least, int apart, std::array<Candidate, kMaxCandidates>& found) const {
-        int count = 0;
-        for (; count < kMaxCandidates; ++count) {
-            Candidate top{-1, least / scale_[pixel]};
-            for (int block = first_; block < last_; ++block) {
-                if (highest_[pixel][block] <= top.correlation) continue;
-                const BlockMap values(at(pixel, block));
-                for (int i = 0; i < kColumnBlock; ++i) {
-                    const int column = block * kColumnBlock + i;
-                    if (values[i] <= top.correlation) continue;
-                    const auto near = [&](const Candidate& c) { return std::abs(c.column - column) < apart; };
-                    if (std::none_of(found.begin(), found.begin() + count, near)) top = {column, values[i]};
-                }
-            }
-            if (top.column < 0) break;
-            found[count] = top;
-        }
-        for (int i = 0; i < count; ++i) found[i].correlation *= scale_[pixel];
-        return count;
-    }
-
-    /// Column of a maximum by the parabola through it and its neighbours, in columns of the grid.
-    [[nodiscard]] double peak(int pixel, int column) const {
-        const int end = table_.columns() - 1;
-        if (column <= first_ * kColumnBlock || column >= std::min(end, last_ * kColumnBlock - 1)) return column;
-        const float* s = scores_[pixel].data() + column;
-        const double below = s[0] - s[-1], above = s[0] - s[1];
-        return below >= 0 && above >= 0 && below + above > 0 ? column + 0.5 * (below - above) / (below + above)
-                                                             : column;
-    }
-
-  private:
-    [[nodiscard]] float* at(int pixel, int block) { return scores_[pixel].data() + block * kColumnBlock; }
-    [[nodiscard]] const float* at(int pixel, int block) const { return scores_[pixel].data() + block * kColumnBlock; }
-
-    /// Over fewer steps the other vectors have another mean and length.
-    void normalise(const OwnVector& own, int pixel, int curve) {
-        const float n = static_cast<float>(own.steps);
-        for (int block = first_; block < last_; ++block) {
-            const float* unit = table_.block(curve, block);
-            Block sum = Block::Zero(), squares = Block::Zero();
-            for (int k = 0; k < steps_; ++k) {
-                if (own.weight[k] == 0) continue;
-                const BlockMap b(unit + k * kColumnBlock);
-                sum += b;
-                squares += b * b;
-            }
-            const Block length = (squares - sum * sum / n).max(1e-12F).sqrt();
-            Eigen::Map<Block> score(at(pixel, block));
-            score = (squares > 0.05F).select(score / length, 0.0F);
-            highest_[pixel][block] = score.maxCoeff();
-        }
-    }
-
-    const CurveTable& table_;
-    int steps_, first_ = 0, last_ = 0;
-    std::array<std::vector<float>, kTogether> scores_, highest_;
-    std::array<float, kTogether> scale_{};
-};
 
 /// One row of the organising camera after the other.
 class Worker {
@@ -345,7 +244,7 @@ class Worker {
     Image<std::uint8_t> weak_;
     Image<float> loss_;
     TemporalFitter fitter_;
-    Scores scores_;
+    CurveScores scores_;
     std::array<OwnVector, kTogether> vectors_;
     std::array<Rejection, kTogether> reasons_{};
 };

@@ -222,7 +222,8 @@ bool TemporalFitter::solve(const OwnVector& own, const CurvePiece& curve, bool l
 }
 
 bool TemporalFitter::sample(const OwnVector& own, const CurvePiece& curve, double u, int& taps) {
-    // Once the spline or the four columns do not reach, they are not tried again: the place must not jump to and fro.
+    // Once the spline or the four columns do not reach, they are not tried again: the place must not jump back and
+    // forth.
     if (taps == kSpline && !sample_spline(own, curve, u)) taps = 4;
     if (taps == kSpline) return true;
     if (taps == 4 && sample_pixels(own, curve, u, taps)) return true;

@@ -13,16 +13,18 @@ def unit_vectors(images):
 
 
 def weights(fraction):
-    """Weights (6,) of the pixels at -2 ... 3: cubic B-spline of the coefficients -1/6, 8/6, -1/6."""
+    """Weights (8,) of the pixels at -3 ... 4: cubic B-spline of coefficients 1 + y + y^2, y = (-1, 2, -1) / 6."""
+    y, one = np.array([-1, 2, -1]) / 6, np.array([0, 0, 1, 0, 0])
+    prefilter = one + np.pad(y, 1) + np.convolve(y, y)
     nodes = np.abs(np.arange(-1, 3) - fraction)
     inner, outer = 2 / 3 - nodes**2 + nodes**3 / 2, (2 - nodes) ** 3 / 6
-    return np.convolve(np.where(nodes < 1, inner, np.where(nodes < 2, outer, 0)), [-1 / 6, 8 / 6, -1 / 6])
+    return np.convolve(np.where(nodes < 1, inner, np.where(nodes < 2, outer, 0)), prefilter)
 
 
 def interpolate(vectors, u, v):
     """Vector (N,) at a place between the pixels."""
     left, top = int(np.floor(u)), int(np.floor(v))
-    window = vectors[top - 2 : top + 4, left - 2 : left + 4]
+    window = vectors[top - 3 : top + 5, left - 3 : left + 5]
     return np.einsum("i,j,ijn->n", weights(v - top), weights(u - left), window)
 
 
@@ -34,9 +36,9 @@ def best_correlation(own_images, other_images, own, other, u, v, step_px=0.05):
     curve = other.project(own.center_sensor + np.geomspace(100, 20000, 20000)[:, None] * direction)
     curve = curve[np.isfinite(curve[:, 0])]
     curve = curve[np.argsort(curve[:, 0])]
-    columns = np.arange(2, width - 4, step_px)
+    columns = np.arange(3, width - 5, step_px)
     rows = np.interp(columns, curve[:, 0], curve[:, 1])
-    inside = (rows >= 2) & (rows < height - 4) & (columns >= curve[0, 0]) & (columns <= curve[-1, 0])
+    inside = (rows >= 3) & (rows < height - 5) & (columns >= curve[0, 0]) & (columns <= curve[-1, 0])
     columns, rows = columns[inside], rows[inside]
     found = np.array([interpolate(b, x, y) for x, y in zip(columns, rows, strict=True)])
     score = found @ a / np.linalg.norm(found, axis=1)
