@@ -15,6 +15,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
 #include "core/camera.hpp"
+#include "core/correlate.hpp"
 #include "core/correspond.hpp"
 #include "core/decode_gray.hpp"
 #include "core/decode_phase.hpp"
@@ -24,6 +25,7 @@
 #include "core/islands.hpp"
 #include "core/phase_edges.hpp"
 #include "core/repair_periods.hpp"
+#include "core/temporal.hpp"
 #include "core/triangulate.hpp"
 #include "core/undistortion.hpp"
 
@@ -223,6 +225,62 @@ nb::tuple correspond(const AnyIn<float>& own_position, const AnyIn<float>& own_s
     return nb::make_tuple(pixel, sigma);
 }
 
+template <class T>
+planish::TemporalStack interleave(const std::vector<AnyImage>& images, int threads) {
+    std::vector<const T*> data;
+    for (const auto& image : images) data.push_back(static_cast<const T*>(image.data()));
+    return planish::interleave<T>(data, static_cast<int>(images[0].shape(0)), static_cast<int>(images[0].shape(1)),
+                                  threads);
+}
+
+planish::TemporalStack temporal_stack(const std::vector<AnyImage>& images, int threads) {
+    return is_8_bit(images) ? interleave<std::uint8_t>(images, threads) : interleave<std::uint16_t>(images, threads);
+}
+
+nb::tuple temporal_statistics(const std::vector<AnyImage>& images, float saturation, int threads) {
+    const bool any = !images.empty();
+    const std::size_t h = any ? images[0].shape(0) : 0, w = any ? images[0].shape(1) : 0;
+    auto mean = make_array<float>({h, w}), norm = make_array<float>({h, w});
+    auto saturated = make_array<std::uint8_t>({h, w});
+    const planish::TemporalStatistics out{view_of(mean), view_of(norm), view_of(saturated)};
+    {
+        nb::gil_scoped_release release;
+        planish::temporal_statistics(temporal_stack(images, threads), saturation, threads, out);
+    }
+    return nb::make_tuple(mean, norm, saturated);
+}
+
+/// `noise`: offset, slope and saturation, own then other.
+nb::tuple correlate(const std::vector<AnyImage>& own_images, const AnyIn<float>& own_shift,
+                    const std::vector<AnyImage>& other_images, const AnyIn<float>& other_shift,
+                    const AnyIn<float>& noise, const AnyIn<double>& F, int min_steps, const AnyIn<float>& max_loss,
+                    const AnyIn<float>& sure_loss, const AnyIn<float>& max_misfit, float model_loss, float min_gap,
+                    const AnyIn<float>& range, int range_spacing, int threads) {
+    const bool any = !own_images.empty();
+    const std::size_t h = any ? own_images[0].shape(0) : 0, w = any ? own_images[0].shape(1) : 0;
+    auto pixel = make_array<float>({h, w, 2}), sigma = make_array<float>({h, w});
+    auto rejected = make_array<std::uint16_t>({h, w});
+    const Eigen::Matrix3d line = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(F.data());
+    const float* n = noise.data();
+    const planish::CorrelateSettings settings{min_steps,
+                                              {max_loss.data(), max_loss.size()},
+                                              {sure_loss.data(), sure_loss.size()},
+                                              {max_misfit.data(), max_misfit.size()},
+                                              model_loss,
+                                              min_gap,
+                                              view_of(range),
+                                              range_spacing};
+    const auto shift = view_of(own_shift), shift_other = view_of(other_shift);
+    const planish::CorrelateResult out{view_of(pixel), view_of(sigma), view_of(rejected)};
+    {
+        nb::gil_scoped_release release;
+        const planish::TemporalStack a = temporal_stack(own_images, threads), b = temporal_stack(other_images, threads);
+        planish::correlate({a, shift, {n[0], n[1], n[2]}}, {b, shift_other, {n[3], n[4], n[5]}}, line, settings,
+                           threads, out);
+    }
+    return nb::make_tuple(pixel, sigma, rejected);
+}
+
 nb::tuple triangulate(const AnyIn<double>& own, const AnyIn<float>& own_shift, const AnyIn<double>& other,
                       const AnyIn<float>& other_shift, const AnyIn<float>& pixel, const AnyIn<float>& sigma,
                       int threads) {
@@ -287,6 +345,8 @@ void bind_sensing(nb::module_& m) {
     m.def("repair_periods", &repair_periods);
     m.def("phase_edges", &phase_edges);
     m.def("correspond", &correspond);
+    m.def("temporal_statistics", &temporal_statistics);
+    m.def("correlate", &correlate);
     m.def("triangulate", &triangulate);
     m.def("projector_residual", &projector_residual);
     m.def("grazing_points", &grazing_points);

@@ -159,6 +159,24 @@ def repair_periods(
     position: F32, sigma: F32, rejected: U16, period_px: float, tolerance_px: float, sigmas: float, threads: int
 ) -> tuple[F32, F32, U16]: ...
 def phase_edges(position: F32, sigma: F32, jump_px: float, sigmas: float, threads: int) -> U8: ...
+def temporal_statistics(images: Sequence[NDArray[Any]], saturation: float, threads: int) -> tuple[F32, F32, U8]: ...
+def correlate(
+    own_images: Sequence[NDArray[Any]],
+    own_shift: F32,
+    other_images: Sequence[NDArray[Any]],
+    other_shift: F32,
+    noise: F32,
+    F: F64,
+    min_steps: int,
+    max_loss: F32,
+    sure_loss: F32,
+    max_misfit: F32,
+    model_loss: float,
+    min_gap: float,
+    range_px: F32,
+    range_spacing: int,
+    threads: int,
+) -> tuple[F32, F32, U16]: ...
 def correspond(
     own_position: F32,
     own_sigma: F32,
