@@ -191,7 +191,7 @@ def test_patterns_that_repeat_are_told_from_aperiodic_ones():
     }
     _, inside = truth_of(rig)
     _, rejected = run(rig, images)
-    assert has(rejected, "code")[inside].mean() > 0.99
+    assert has(rejected, "ambiguous")[inside].mean() > 0.99
 
 
 def test_brightness_and_offset_of_a_camera_change_nothing():

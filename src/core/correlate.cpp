@@ -8,9 +8,9 @@
 
 #include "core/curve_scores.hpp"
 #include "core/curve_table.hpp"
-#include "core/decode_phase.hpp"
 #include "core/epipolar.hpp"
 #include "core/parallel.hpp"
+#include "core/rejection.hpp"
 #include "core/temporal_fit.hpp"
 #include "core/temporal_support.hpp"
 
@@ -198,9 +198,9 @@ class Worker {
                 rival = fit;
             }
         }
-        if (!best.found) return dark ? kDark : mixed ? kEdge : kUnmatched;
+        if (!best.found) return dark ? kDark : mixed ? kMixed : kUnmatched;
         const bool same = std::fabs(best.u - rival.u) < 0.5 * apart_ * table_.stride();
-        if (rival.found && !same && rival.misfit - best.misfit < settings_.min_gap) return kCode;
+        if (rival.found && !same && rival.misfit - best.misfit < settings_.min_gap) return kAmbiguous;
         float* pixel = out_.pixel_px.at(v, u);
         pixel[0] = static_cast<float>(best.u);
         pixel[1] = static_cast<float>(best_piece.at(best.u));

@@ -5,8 +5,8 @@
 #include <limits>
 #include <vector>
 
-#include "core/decode_phase.hpp"
 #include "core/parallel.hpp"
+#include "core/rejection.hpp"
 
 namespace planish {
 namespace {

@@ -19,8 +19,9 @@ from planish.geometry import Array
 from planish.measurement import Map, NoiseModel, View
 from planish.options import Options
 from planish.rig import Camera
-from planish.sensing.capture import Box, GreyImage
+from planish.sensing.capture import Box
 from planish.sensing.correspond import Correspondences, fundamental_matrix, undistortion_shifts
+from planish.sensing.images import GreyImage
 
 #: Every so many pixels the range of the search is computed from the volume.
 RANGE_SPACING_PX = 16
@@ -92,9 +93,9 @@ def correlate(
         As from `correspond`.
     rejected : ndarray (H, W) uint16
         Bit mask of measurement.REJECTIONS: "dark" (temporal modulation below what its noise allows), "saturated" (fewer
-        than `min_steps` images below saturation), "unmatched" (nothing alike on the epipolar curve), "edge" (alike,
-        but not within the noise: a mixture of two surfaces), "code" (two places fit alike), "masked" (its ray misses
-        the volume).
+        than `min_steps` images below saturation), "unmatched" (nothing alike on the epipolar curve), "mixed" (alike,
+        but not within the noise: two surfaces), "ambiguous" (two places fit alike), "masked" (its ray misses the
+        volume).
 
     Raises
     ------

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from planish.errors import InputError
 from planish.geometry import Array
 from planish.sensing.entries import Black, Entry, Gray, Phase, Statistical, White
+from planish.sensing.statistical import statistical_profile
 
 #: Fringe periods [projector px] of the reference sequence, each shown in REFERENCE_STEPS steps.
 REFERENCE_PERIODS_PX = (1280.0, 160.0, 20.0)
@@ -32,7 +33,7 @@ def encode(entry: Entry, coordinate_px: ArrayLike) -> Array:
     if isinstance(entry, Phase):
         return _encode_phase(entry, u)
     if isinstance(entry, Statistical):
-        raise InputError("sequence", "a statistical pattern, which is not known", "white, black, phase or Gray")
+        return statistical_profile(u, entry.index, entry.seed, entry.min_period_px)
     return _encode_gray(entry, u)
 
 
