@@ -179,11 +179,12 @@ AnyOut<std::uint8_t> phase_edges(const AnyIn<float>& position, const AnyIn<float
 
 nb::tuple correspond(const AnyIn<float>& own_position, const AnyIn<float>& own_sigma, const AnyIn<float>& own_shift,
                      const AnyIn<float>& other_position, const AnyIn<float>& other_sigma,
-                     const AnyIn<float>& other_shift, const AnyIn<double>& F, int threads) {
+                     const AnyIn<double>& other_camera, bool transposed, const AnyIn<double>& F, int threads) {
     const std::size_t h = own_position.shape(0), w = own_position.shape(1);
     auto pixel = make_array<float>({h, w, 2}), sigma = make_array<float>({h, w});
-    const planish::PhaseView own{view_of(own_position), view_of(own_sigma), view_of(own_shift)};
-    const planish::PhaseView other{view_of(other_position), view_of(other_sigma), view_of(other_shift)};
+    const planish::OwnView own{view_of(own_position), view_of(own_sigma), view_of(own_shift)};
+    const planish::OtherView other{view_of(other_position), view_of(other_sigma), make_camera(other_camera),
+                                   transposed};
     const Eigen::Matrix3d line = Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(F.data());
     const planish::CorrespondResult out{view_of(pixel), view_of(sigma)};
     {

@@ -1,140 +1,47 @@
 #include "core/correspond.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
-#include <span>
 #include <vector>
 
+#include "core/block_index.hpp"
+#include "core/lens.hpp"
 #include "core/parallel.hpp"
 
 namespace planish {
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
-constexpr int kBlock = 16;
-/// Steps of the warm start before the whole curve is searched.
+/// Steps from the continuation before the whole curve is searched.
 constexpr int kMaxWarmSteps = 8;
-/// A prediction is a continuation of the row only over so many pixels of `own`.
+/// A neighbour says where a pixel continues only over so many pixels of `own`.
 constexpr int kMaxGap = 8;
-/// Fixed-point steps for the curve's row: each gains a factor of about the distortion's gradient (0.05 at most).
-/// From the column beside it the guess is good to 0.01 px, one step makes that 0.0005.
-constexpr int kWarmIterations = 2, kColdIterations = 6;
+/// Rows that follow each other's solutions; fixed, so that the result does not depend on the number of threads.
+constexpr int kRowsOfBlock = 64;
+/// A step of the column on the curve [px] after which the next would be below rounding: it is squared times the
+/// curvature of the distortion, 1e-3 per pixel at most.
+constexpr float kLastStep = 0.25F;
+/// The curve is straight over so many columns: 2^2 / 2 times 1e-4 (1e-3 at most) of a pixel off.
+constexpr float kStraight = 2.0F;
 
-/// Which blocks may hold a position: per row of blocks and bin of position, a list of columns of blocks.
-class BlockIndex {
-  public:
-    explicit BlockIndex(Image<const float> position)
-        : position_(position),
-          rows_((position.height + kBlock - 1) / kBlock),
-          columns_((position.width + kBlock - 1) / kBlock) {
-        for (std::size_t i = 0; i < position.pixels(); ++i) {
-            const float p = position.data[i];
-            low_ = p < low_ ? p : low_;
-            high_ = p > high_ ? p : high_;
-        }
-        // Two passes: count the entries of each list, then write them.
-        start_.assign(static_cast<std::size_t>(rows_) * kBins + 1, 0);
-        visit([&](std::size_t list, int) { ++start_[list + 1]; });
-        for (std::size_t i = 1; i < start_.size(); ++i) start_[i] += start_[i - 1];
-        entries_.resize(start_.back());
-        std::vector<std::uint32_t> next(start_.begin(), start_.end() - 1);
-        visit([&](std::size_t list, int column) { entries_[next[list]++] = static_cast<std::uint16_t>(column); });
-    }
-
-    [[nodiscard]] int rows() const { return rows_; }
-    [[nodiscard]] std::span<const std::uint16_t> columns(int row, float target) const {
-        if (!(target >= low_ && target <= high_)) return {};
-        const std::size_t list = static_cast<std::size_t>(row) * kBins + bin(target);
-        return {entries_.data() + start_[list], entries_.data() + start_[list + 1]};
-    }
-
-  private:
-    static constexpr int kBins = 1024;
-
-    [[nodiscard]] std::size_t bin(float p) const {
-        return std::min<std::size_t>(static_cast<std::size_t>((p - low_) / (high_ - low_ + 1e-6F) * kBins), kBins - 1);
-    }
-
-    template <class Action>
-    void visit(const Action& action) const {
-        for (int row = 0; row < rows_; ++row)
-            for (int column = 0; column < columns_; ++column) {
-                float low = std::numeric_limits<float>::infinity(), high = -low;
-                // The last row and column are shared with the next block: a crossing lies between pixels.
-                const int bottom = std::min((row + 1) * kBlock, position_.height - 1);
-                const int right = std::min((column + 1) * kBlock, position_.width - 1);
-                for (int v = row * kBlock; v <= bottom; ++v) {
-                    const float* p = position_.row(v);
-                    for (int u = column * kBlock; u <= right; ++u) {
-                        low = p[u] < low ? p[u] : low;
-                        high = p[u] > high ? p[u] : high;
-                    }
-                }
-                if (low > high) continue;
-                const std::size_t first = static_cast<std::size_t>(row) * kBins;
-                for (std::size_t i = bin(low); i <= bin(high); ++i) action(first + i, column);
-            }
-    }
-
-    Image<const float> position_;
-    int rows_, columns_;
-    float low_ = std::numeric_limits<float>::infinity(), high_ = -std::numeric_limits<float>::infinity();
-    std::vector<std::uint32_t> start_;
-    std::vector<std::uint16_t> entries_;
+/// An epipolar line in ideal pixels relative to the lens's centre: y = m x + k.
+struct Line {
+    float m = 0, k = 0;
 };
 
-/// Largest shift of a pixel's row by the distortion.
-double largest_row_shift(Image<const float> shift) {
-    float largest = 0;
-    for (std::size_t i = 0; i < 2 * shift.pixels() && !shift.empty(); i += 2)
-        largest = std::max(largest, std::fabs(shift.data[i + 1]));
-    return largest;
-}
-
-/// The epipolar curve of one pixel in the other camera: row v as a function of column u.
-class Curve {
-  public:
-    Curve(const PhaseView& view, const Eigen::Vector3d& line)
-        : view_(view), slope_(-line.x() / line.y()), offset_(-line.z() / line.y()) {}
-
-    [[nodiscard]] double row(int u, double guess, int iterations) const {
-        if (view_.shift_px.empty()) return slope_ * u + offset_;
-        double v = guess;
-        const int last = view_.shift_px.height - 2;
-        for (int i = 0; i < iterations; ++i) {
-            const int top = std::clamp(static_cast<int>(v), 0, last);
-            const double f = std::clamp(v - top, 0.0, 1.0);
-            const float* a = view_.shift_px.at(top, u);
-            const float* b = view_.shift_px.at(top + 1, u);
-            v = slope_ * (u + (1 - f) * a[0] + f * b[0]) + offset_ - ((1 - f) * a[1] + f * b[1]);
-        }
-        return v;
-    }
-    [[nodiscard]] double slope() const { return slope_; }
-    [[nodiscard]] double undistorted_row(int u) const { return slope_ * u + offset_; }
-
-    /// Position at column u and row v, linear between the two rows; NaN outside and where either row has none.
-    [[nodiscard]] float position(int u, double v) const {
-        if (!(v >= 0) || !(v < view_.position_px.height - 1)) return kNaN;
-        const int top = static_cast<int>(v);
-        const auto f = static_cast<float>(v - top);
-        const float a = *view_.position_px.at(top, u), b = *view_.position_px.at(top + 1, u);
-        return a + f * (b - a);
-    }
-
-  private:
-    const PhaseView& view_;
-    double slope_, offset_;
+/// A place on an epipolar curve: row v at column u, slope m = dv / du there, and the ideal column less u.
+struct Spot {
+    float u = 0, v = 0, m = 0, shift = 0;
 };
 
 struct Crossing {
     int u = -1;  ///< between columns u and u + 1
     float p0 = 0, p1 = 0;
-    double v0 = 0, v1 = 0;
+    Spot spot;  ///< on the curve, at or near column u
 
     [[nodiscard]] bool found() const { return u >= 0; }
+    [[nodiscard]] float row() const { return spot.v + (static_cast<float>(u) - spot.u) * spot.m; }
     [[nodiscard]] float fraction(float target) const { return (target - p0) / (p1 - p0); }
 };
 
@@ -142,71 +49,130 @@ bool encloses(float p0, float p1, float target) {
     return (p0 <= target && target < p1) || (p1 < target && target <= p0);
 }
 
+/// Position at column u and row v, linear between the two rows; NaN outside and where either row has none.
+inline float position_at(Image<const float> position, int u, float v) {
+    if (!(v >= 0) || !(v < static_cast<float>(position.height - 1))) return kNaN;
+    const int top = static_cast<int>(v);
+    const float* p = position.row(top) + u;
+    return p[0] + (v - static_cast<float>(top)) * (p[position.width] - p[0]);
+}
+
 class Search {
   public:
-    Search(const PhaseView& view, const BlockIndex& blocks)
-        : view_(view), blocks_(blocks), row_shift_(largest_row_shift(view.shift_px)) {}
+    Search(const OtherView& view, int threads)
+        : position_(view.position_px), blocks_(view.position_px, threads), lens_(view.camera, view.transposed) {
+        constexpr int size = BlockIndex::kBlock;
+        shifts_.resize(static_cast<std::size_t>(blocks_.rows()) * blocks_.columns());
+        parallel_for(static_cast<std::size_t>(blocks_.rows()), threads, [&](std::size_t begin, std::size_t end) {
+            for (std::size_t row = begin; row < end; ++row)
+                for (int column = 0; column < blocks_.columns(); ++column) {
+                    Eigen::Vector2d pixel((column + 0.5) * size, (static_cast<double>(row) + 0.5) * size);
+                    if (view.transposed) std::swap(pixel.x(), pixel.y());
+                    const Camera& c = view.camera;
+                    Eigen::Vector2d shift = c.to_pixel(c.undistort(c.from_pixel(pixel))) - pixel;
+                    if (view.transposed) std::swap(shift.x(), shift.y());
+                    shifts_[row * blocks_.columns() + column] = shift.cast<float>();
+                }
+        });
+        for (const auto& shift : shifts_)
+            if (shift.y() == shift.y()) largest_ = std::max(largest_, std::fabs(shift.y()));
+    }
+
+    [[nodiscard]] const Lens& lens() const { return lens_; }
+
+    /// The curve at column u; `shift` is near the one there.
+    [[nodiscard]] Spot locate(const Line& line, float u, float shift) const {
+        for (int i = 0;; ++i) {
+            const float x = u - lens_.cu + shift;
+            const Lens::Place at = lens_.along(x, line.m * x + line.k, line.m);
+            const float step = (u - lens_.cu - at.u) / at.du;
+            shift += step;
+            if (std::fabs(step) < kLastStep || i == kMaxNewton)
+                return {u, at.v + lens_.cv + at.dv * step, at.dv / at.du, shift};
+        }
+    }
 
     /// Walks from the predicted place along the curve, as far as the slope suggests.
-    [[nodiscard]] Crossing near(const Curve& curve, float target, double predicted_u, double guess_v) const {
-        const int last = view_.position_px.width - 2;
-        int u = static_cast<int>(std::floor(predicted_u));
-        double v = guess_v;
+    [[nodiscard]] Crossing near(const Line& line, float target, Spot spot) const {
+        if (!(spot.u >= 0)) return {};
+        const int last = position_.width - 2;
+        int u = static_cast<int>(std::min(spot.u, static_cast<float>(last + 1)));
         for (int i = 0; i < kMaxWarmSteps; ++i) {
             if (u < 0 || u > last) return {};
-            const double v0 = curve.row(u, v, kWarmIterations), v1 = curve.row(u + 1, v0 + curve.slope(), 1);
-            const float p0 = curve.position(u, v0), p1 = curve.position(u + 1, v1);
-            if (encloses(p0, p1, target)) return {u, p0, p1, v0, v1};
+            const auto column = static_cast<float>(u);
+            if (std::fabs(column - spot.u) > kStraight) spot = locate(line, column, spot.shift);
+            const float v = spot.v + (column - spot.u) * spot.m;
+            const float p0 = position_at(position_, u, v), p1 = position_at(position_, u + 1, v + spot.m);
+            if (encloses(p0, p1, target)) return {u, p0, p1, spot};
             const float steps = std::floor((target - p0) / (p1 - p0));
             if (!(std::fabs(steps) < kMaxWarmSteps) || steps == 0) return {};
             u += static_cast<int>(steps);
-            v = v0 + curve.slope() * steps;
         }
         return {};
     }
 
     /// Every crossing of the whole curve is looked at; the one nearest to `predicted_u`, or the only one.
-    [[nodiscard]] Crossing anywhere(const Curve& curve, float target, double predicted_u) const {
-        const int width = view_.position_px.width;
-        const double a = curve.undistorted_row(0), b = curve.undistorted_row(width - 1);
-        const int first = std::max(0, block_row(std::min(a, b) - row_shift_ - 1));
-        const int last = std::min(blocks_.rows() - 1, block_row(std::max(a, b) + row_shift_ + 1));
+    [[nodiscard]] Crossing anywhere(const Line& line, float target, float predicted_u) const {
+        constexpr int size = BlockIndex::kBlock;
+        const float left = line.m * -lens_.cu + line.k + lens_.cv;
+        const float right = left + line.m * static_cast<float>(position_.width - 1);
+        const int first = std::max(0, block_row(std::min(left, right) - largest_ - kMargin));
+        const int last = std::min(blocks_.rows() - 1, block_row(std::max(left, right) + largest_ + kMargin));
         Crossing best;
         bool several = false;
         for (int row = first; row <= last; ++row)
-            for (const int column : blocks_.columns(row, target)) {
-                const int begin = column * kBlock, end = std::min(begin + kBlock, width - 1);
-                const double v = curve.row(begin, curve.undistorted_row(begin), kColdIterations);
-                const double leave = v + curve.slope() * (end - begin);
-                // One pixel of margin: the curve bends by far less than that within a block.
-                if (block_row(std::max(v, leave) + 1) < row || block_row(std::min(v, leave) - 1) > row) continue;
-                scan(curve, target, begin, end, v, [&](const Crossing& c) {
+            for (const int column : blocks_.candidates(row, target)) {
+                const Eigen::Vector2f& shift = shifts_[static_cast<std::size_t>(row) * blocks_.columns() + column];
+                const int begin = column * size, end = std::min(begin + size, position_.width - 1);
+                const auto top = static_cast<float>(row * size);
+                // The straight line, with the block's own shift: where the curve passes the block, within the margin.
+                const float v = left + line.m * (static_cast<float>(begin) + shift.x()) - shift.y();
+                const float leave = v + line.m * size;
+                if (!(std::max(v, leave) > top - kMargin && std::min(v, leave) < top + size + kMargin)) continue;
+                if (!blocks_.holds(row, column, target)) continue;
+                scan(line, target, begin, end, shift.x(), [&](const Crossing& c) {
                     several = several || (best.found() && best.u != c.u);
-                    if (!best.found() || std::fabs(c.u + 0.5 - predicted_u) < std::fabs(best.u + 0.5 - predicted_u))
-                        best = c;
+                    if (!best.found() || distance(c, predicted_u) < distance(best, predicted_u)) best = c;
                 });
             }
         return several && !(predicted_u == predicted_u) ? Crossing{} : best;
     }
 
   private:
-    static int block_row(double v) { return static_cast<int>(std::floor(v / kBlock)); }
+    static constexpr int kMaxNewton = 4;
+    /// Of the rows of blocks that a curve passes [px]: the shift changes by less within a block.
+    static constexpr float kMargin = 3.0F;
+
+    static int block_row(float v) { return static_cast<int>(std::floor(v / BlockIndex::kBlock)); }
+    static float distance(const Crossing& c, float u) { return std::fabs(static_cast<float>(c.u) + 0.5F - u); }
 
     template <class Action>
-    void scan(const Curve& curve, float target, int begin, int end, double v, const Action& action) const {
-        float p = curve.position(begin, v);
+    void scan(const Line& line, float target, int begin, int end, float shift, const Action& action) const {
+        const Spot a = locate(line, static_cast<float>(begin), shift), b = locate(line, static_cast<float>(end), shift);
+        const float m = (b.v - a.v) / (b.u - a.u);
+        float p = position_at(position_, begin, a.v);
         for (int u = begin; u < end; ++u) {
-            const double v_next = curve.row(u + 1, v + curve.slope(), kWarmIterations);
-            const float p_next = curve.position(u + 1, v_next);
-            if (encloses(p, p_next, target)) action({u, p, p_next, v, v_next});
-            v = v_next;
-            p = p_next;
+            const float next = position_at(position_, u + 1, a.v + static_cast<float>(u + 1 - begin) * m);
+            if (encloses(p, next, target)) action(exact({u, p, next, a}, line));
+            p = next;
         }
     }
 
-    const PhaseView& view_;
-    const BlockIndex& blocks_;
-    double row_shift_;
+    /// Between the ends of a block the curve was taken as straight: the crossing on the curve itself.
+    [[nodiscard]] Crossing exact(Crossing c, const Line& line) const {
+        c.spot = locate(line, static_cast<float>(c.u), c.spot.shift);
+        const float p0 = position_at(position_, c.u, c.spot.v);
+        const float p1 = position_at(position_, c.u + 1, c.spot.v + c.spot.m);
+        // Where it differs by so much that it no longer encloses, the place is at a pixel and either will do.
+        if ((p1 - p0) * (c.p1 - c.p0) > 0) c.p0 = p0, c.p1 = p1;
+        return c;
+    }
+
+    Image<const float> position_;
+    BlockIndex blocks_;
+    Lens lens_;
+    std::vector<Eigen::Vector2f> shifts_;  ///< of each block's centre to its ideal place
+    float largest_ = 0;
 };
 
 /// What the other camera's positions say at a place between pixels.
@@ -215,120 +181,189 @@ struct Sample {
     float weight = 0;               ///< sum of the squared weights: variance of `position` over that of one pixel
 };
 
-/// Weights of the cubic B-spline for four nodes at -1, 0, 1, 2 and a place f in [0, 1].
-std::array<float, 4> spline(float f) {
-    const float g = 1 - f;
-    return {g * g * g / 6, (4 - 6 * f * f + 3 * f * f * f) / 6, (4 - 6 * g * g + 3 * g * g * g) / 6, f * f * f / 6};
-}
+using Four = Eigen::Array4f;
 
-float sum_of_squares(const std::array<float, 4>& w) { return w[0] * w[0] + w[1] * w[1] + w[2] * w[2] + w[3] * w[3]; }
+/// Weights of the cubic B-spline for four nodes at -1, 0, 1, 2 and a place f in [0, 1].
+inline Four spline(float f) {
+    const Four one(1.0F / 6, 4.0F / 6, 1.0F / 6, 0), first(-0.5F, 0, 0.5F, 0), second(0.5F, -1, 0.5F, 0),
+        third(-1.0F / 6, 0.5F, -0.5F, 1.0F / 6);
+    return one + f * (first + f * (second + f * third));
+}
 
 /// Cubic B-spline of the 4 x 4 pixels around: exact for linear positions, of nearly the same noise wherever the place
 /// lies between the pixels (0.23 of a pixel's variance; bilinear: 0.25 ... 1). False where one of them is missing.
-bool spline_sample(Image<const float> position, int u, double v, float f, double curve_slope, Sample& out) {
+inline bool spline_sample(Image<const float> position, int u, float v, float f, float curve_slope, Sample& out) {
     const int top = static_cast<int>(v);
     if (u < 1 || u + 2 >= position.width || top < 1 || top + 2 >= position.height) return false;
-    const auto wu = spline(f), wv = spline(static_cast<float>(v - top));
-    std::array<float, 4> columns{}, rows{};
-    for (int j = 0; j < 4; ++j) {
-        const float* p = position.at(top - 1 + j, u - 1);
-        rows[j] = wu[0] * p[0] + wu[1] * p[1] + wu[2] * p[2] + wu[3] * p[3];
-        for (int k = 0; k < 4; ++k) columns[k] += wv[j] * p[k];
-    }
-    out.position = wv[0] * rows[0] + wv[1] * rows[1] + wv[2] * rows[2] + wv[3] * rows[3];
-    out.slope = (columns[3] - columns[0]) / 3 + static_cast<float>(curve_slope) * (rows[3] - rows[0]) / 3;
-    out.weight = sum_of_squares(wu) * sum_of_squares(wv);
+    const Four wu = spline(f), wv = spline(v - static_cast<float>(top));
+    const float* corner = position.row(top - 1) + u - 1;
+    const auto row = [&](int j) { return Eigen::Map<const Four>(corner + static_cast<std::ptrdiff_t>(j) * position.width); };
+    const Four columns = (wv[0] * row(0) + wv[1] * row(1)) + (wv[2] * row(2) + wv[3] * row(3));
+    out.position = (wu * columns).sum();
+    out.slope = (columns[3] - columns[0] + curve_slope * (wu * (row(3) - row(0))).sum()) / 3;
+    out.weight = wu.square().sum() * wv.square().sum();
     return out.position == out.position;
 }
 
 /// The same from the two columns and rows of the crossing alone, beside edges and gaps.
 Sample linear_sample(const Crossing& c, float target, float f) {
-    const auto rows = [](double v) {
-        const auto g = static_cast<float>(v - std::floor(v));
+    const auto rows = [](float v) {
+        const float g = v - std::floor(v);
         return (1 - g) * (1 - g) + g * g;
     };
-    return {target, c.p1 - c.p0, (1 - f) * (1 - f) * rows(c.v0) + f * f * rows(c.v1)};
+    const float v = c.row();
+    return {target, c.p1 - c.p0, (1 - f) * (1 - f) * rows(v) + f * f * rows(v + c.spot.m)};
 }
 
-/// The place on the curve, and its standard deviation.
+/// The place on the curve, its standard deviation, and the slope of the position.
 struct Match {
-    double u = 0, v = 0;
-    float sigma = 0, slope = 0;
+    float u = 0, v = 0, sigma = 0, slope = 0;
 };
 
-Match refine(const PhaseView& view, const Crossing& c, float target, float target_sigma) {
-    const float f = c.fraction(target);
-    const double curve_slope = c.v1 - c.v0, v = c.v0 + f * curve_slope;
-    Sample sample = linear_sample(c, target, f);
-    Sample spline;
+inline Match refine(const OtherView& view, const Crossing& c, float target, float target_sigma) {
+    const float f = c.fraction(target), v = c.row() + f * c.spot.m;
+    Sample sample;
     float shift = 0;
-    if (spline_sample(view.position_px, c.u, v, f, curve_slope, spline) && spline.slope * sample.slope > 0) {
-        shift = (target - spline.position) / spline.slope;
+    bool smooth = spline_sample(view.position_px, c.u, v, f, c.spot.m, sample) && sample.slope * (c.p1 - c.p0) > 0;
+    if (smooth) {
+        shift = (target - sample.position) / sample.slope;
         // The two differ by noise; more than a pixel means that the slope is none.
-        if (std::fabs(shift) < 1)
-            sample = spline;
-        else
-            shift = 0;
+        smooth = std::fabs(shift) < 1;
     }
-    const int nearest_v = std::min(static_cast<int>(v + 0.5), view.sigma_px.height - 1);
-    const float sigma = *view.sigma_px.at(nearest_v, f < 0.5F ? c.u : c.u + 1);
-    const double u = c.u + static_cast<double>(f) + shift;
-    return {u, v + shift * curve_slope,
+    if (!smooth) {
+        sample = linear_sample(c, target, f);
+        shift = 0;
+    }
+    const int nearest_v = std::min(static_cast<int>(v + 0.5F), view.sigma_px.height - 1);
+    const float sigma = view.sigma_px.row(nearest_v)[f < 0.5F ? c.u : c.u + 1];
+    return {static_cast<float>(c.u) + (f + shift), v + shift * c.spot.m,
             std::sqrt(target_sigma * target_sigma + sample.weight * sigma * sigma) / std::fabs(sample.slope),
             sample.slope};
 }
 
-/// What the next pixel of the row starts from.
-struct Trail {
-    int at = -1;
-    double u = 0, v = 0;
-    float target = 0, slope = 0;
-
-    [[nodiscard]] double predict(int pixel, float next) const {
-        return at >= 0 && pixel - at <= kMaxGap ? u + (next - target) / slope : std::nan("");
+/// Solves rows one after the other, each from the one above.
+class Rows {
+  public:
+    Rows(const OwnView& own, const OtherView& other, const Eigen::Matrix3d& F, const Search& search,
+         const CorrespondResult& out)
+        : own_(own), other_(other), F_(F), search_(search), out_(out), width_(own.position_px.width) {
+        for (auto* v : {&trail_u_, &trail_target_, &trail_slope_, &trail_shift_, &line_m_, &line_k_, &spot_v_, &spot_m_,
+                        &spot_shift_, &spot_u_, &shift_u_, &shift_v_})
+            v->assign(static_cast<std::size_t>(width_), 0.0F);
+        std::fill(trail_u_.begin(), trail_u_.end(), kNaN);
+        trail_row_.assign(static_cast<std::size_t>(width_), -kMaxGap - 1);
     }
+
+    void solve(int v) {
+        predict(v);
+        const float* position = own_.position_px.row(v);
+        const float* sigma = own_.sigma_px.row(v);
+        float* pixel = out_.pixel_px.row(v);
+        float* pixel_sigma = out_.sigma_px.row(v);
+        int left = -kMaxGap - 1;  // the last pixel of this row that was solved
+        for (int u = 0; u < width_; ++u) {
+            const float target = position[u];
+            Crossing c;
+            if (target == target) c = find(u, v, target, left);
+            if (!c.found()) {
+                pixel[2 * u] = pixel[2 * u + 1] = pixel_sigma[u] = kNaN;
+                continue;
+            }
+            const Match match = refine(other_, c, target, sigma[u]);
+            pixel[2 * u] = match.u;
+            pixel[2 * u + 1] = match.v;
+            pixel_sigma[u] = match.sigma;
+            trail_u_[u] = match.u;
+            trail_target_[u] = target;
+            trail_slope_[u] = 1 / match.slope;
+            trail_shift_[u] = c.spot.shift;
+            trail_row_[u] = v;
+            left = u;
+        }
+    }
+
+  private:
+    /// The epipolar line of every pixel of the row, and the place on its curve where the row above continues.
+    void predict(int v) {
+        const Lens lens = search_.lens();
+        const float* position = own_.position_px.row(v);
+        if (!own_.shift_px.empty()) {
+            const float* shift = own_.shift_px.row(v);
+            for (int u = 0; u < width_; ++u) {
+                shift_u_[u] = shift[2 * u];
+                shift_v_[u] = shift[2 * u + 1];
+            }
+        }
+        const float *su = shift_u_.data(), *sv = shift_v_.data(), *tu = trail_u_.data(), *tt = trail_target_.data(),
+                    *ts = trail_slope_.data(), *th = trail_shift_.data();
+        const int* tr = trail_row_.data();
+        float *lm = line_m_.data(), *lk = line_k_.data(), *pu = spot_u_.data(), *pv = spot_v_.data(),
+              *pm = spot_m_.data(), *ph = spot_shift_.data();
+        const double f00 = F_(0, 0), f01 = F_(0, 1), f02 = F_(0, 2), f10 = F_(1, 0), f11 = F_(1, 1), f12 = F_(1, 2),
+                     f20 = F_(2, 0), f21 = F_(2, 1), f22 = F_(2, 2);
+        const double cu = lens.cu, cv = lens.cv, row = v;
+#pragma GCC ivdep
+        for (int u = 0; u < width_; ++u) {
+            const double x = static_cast<double>(u) + su[u], y = row + sv[u];
+            const double a = f00 * x + f01 * y + f02, b = f10 * x + f11 * y + f12, c = f20 * x + f21 * y + f22;
+            const double below = -1 / b;
+            lm[u] = static_cast<float>(a * below);
+            lk[u] = static_cast<float>((c + a * cu) * below - cv);
+        }
+#pragma GCC ivdep
+        for (int u = 0; u < width_; ++u) {
+            const float at_u = tu[u] + (position[u] - tt[u]) * ts[u], relative = at_u - lens.cu;
+            const float at_x = relative + th[u], m = lm[u];
+            const Lens::Place at = lens.along(at_x, m * at_x + lk[u], m);
+            const float step = (relative - at.u) / at.du;
+            const bool good = std::fabs(step) < kLastStep && tr[u] >= v - kMaxGap;
+            pu[u] = good ? at_u : kNaN;
+            pv[u] = at.v + lens.cv + at.dv * step;
+            pm[u] = at.dv / at.du;
+            ph[u] = th[u] + step;
+        }
+    }
+
+    [[nodiscard]] Crossing find(int u, int v, float target, int left) const {
+        const Line line{line_m_[u], line_k_[u]};
+        const Spot above{spot_u_[u], spot_v_[u], spot_m_[u], spot_shift_[u]};
+        float predicted = above.u;
+        Crossing c = search_.near(line, target, above);
+        if (c.found()) return c;
+        if (u - left <= kMaxGap) {
+            const float beside = trail_u_[left] + (target - trail_target_[left]) * trail_slope_[left];
+            if (!(predicted == predicted)) predicted = beside;
+            c = search_.near(line, target, search_.locate(line, beside, trail_shift_[left]));
+            if (c.found()) return c;
+        }
+        (void)v;
+        return search_.anywhere(line, target, predicted);
+    }
+
+    const OwnView& own_;
+    const OtherView& other_;
+    const Eigen::Matrix3d& F_;
+    const Search& search_;
+    const CorrespondResult& out_;
+    int width_;
+    /// Per column, the last solution: place, position, 1 / slope, shift to the ideal column, and its row.
+    std::vector<float> trail_u_, trail_target_, trail_slope_, trail_shift_;
+    std::vector<int> trail_row_;
+    std::vector<float> line_m_, line_k_, spot_u_, spot_v_, spot_m_, spot_shift_, shift_u_, shift_v_;
 };
 
 }  // namespace
 
-void correspond(const PhaseView& own, const PhaseView& other, const Eigen::Matrix3d& F, int threads,
+void correspond(const OwnView& own, const OtherView& other, const Eigen::Matrix3d& F, int threads,
                 const CorrespondResult& out) {
-    const BlockIndex blocks(other.position_px);
-    const Search search(other, blocks);
-    const int width = own.position_px.width;
-
-    const auto correspond_row = [&](int v) {
-        const float* position = own.position_px.row(v);
-        const float* sigma = own.sigma_px.row(v);
-        float* pixel = out.pixel_px.row(v);
-        float* pixel_sigma = out.sigma_px.row(v);
-        Trail trail;
-        for (int u = 0; u < width; ++u) {
-            pixel[2 * u] = pixel[2 * u + 1] = pixel_sigma[u] = kNaN;
-            const float target = position[u];
-            if (!(target == target)) continue;
-            Eigen::Vector3d x(u, v, 1.0);
-            if (!own.shift_px.empty()) {
-                const float* shift = own.shift_px.at(v, u);
-                x.x() += shift[0];
-                x.y() += shift[1];
-            }
-            const Curve curve(other, F * x);
-            const double predicted = trail.predict(u, target);
-            Crossing c;
-            if (predicted == predicted)
-                c = search.near(curve, target, predicted, trail.v + curve.slope() * (predicted - trail.u));
-            if (!c.found()) c = search.anywhere(curve, target, predicted);
-            if (!c.found()) continue;
-            const Match match = refine(other, c, target, sigma[u]);
-            pixel[2 * u] = static_cast<float>(match.u);
-            pixel[2 * u + 1] = static_cast<float>(match.v);
-            pixel_sigma[u] = match.sigma;
-            trail = {u, match.u, match.v, target, match.slope};
+    const Search search(other, threads);
+    const int height = own.position_px.height, blocks = (height + kRowsOfBlock - 1) / kRowsOfBlock;
+    parallel_for(static_cast<std::size_t>(blocks), threads, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t block = begin; block < end; ++block) {
+            Rows rows(own, other, F, search, out);
+            const int first = static_cast<int>(block) * kRowsOfBlock;
+            for (int v = first; v < std::min(first + kRowsOfBlock, height); ++v) rows.solve(v);
         }
-    };
-    parallel_for(static_cast<std::size_t>(own.position_px.height), threads, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t v = begin; v < end; ++v) correspond_row(static_cast<int>(v));
     });
 }
 

@@ -152,7 +152,8 @@ def correspond(
     own_shift: F32,
     other_position: F32,
     other_sigma: F32,
-    other_shift: F32,
+    other_camera: F64,
+    transposed: bool,
     F: F64,
     threads: int,
 ) -> tuple[F32, F32]: ...

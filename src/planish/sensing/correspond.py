@@ -89,15 +89,20 @@ def correspond(
     F = fundamental_matrix(own_camera, other_camera)
     width, height = own_camera.size_px
     line = F @ [0.5 * width, 0.5 * height, 1.0]
-    steep = abs(line[0]) > abs(line[1])
+    steep = bool(abs(line[0]) > abs(line[1]))
     position, sigma = other.position_px, other.sigma_px
-    shifts = undistortion_shifts(other_camera, threads)
     if steep:
         position, sigma = np.ascontiguousarray(position.T), np.ascontiguousarray(sigma.T)
-        shifts = np.ascontiguousarray(shifts.transpose(1, 0, 2)[..., ::-1])
         F = F[[1, 0, 2]]
-    own_shifts = undistortion_shifts(own_camera, threads)
     pixel, pixel_sigma = _core.correspond(
-        own.position_px, own.sigma_px, own_shifts, position, sigma, shifts, np.ascontiguousarray(F), threads
+        own.position_px,
+        own.sigma_px,
+        undistortion_shifts(own_camera, threads),
+        position,
+        sigma,
+        other_camera.kernel_parameters,
+        steep,
+        np.ascontiguousarray(F),
+        threads,
     )
     return Correspondences(np.ascontiguousarray(pixel[..., ::-1]) if steep else pixel, pixel_sigma)
