@@ -1,6 +1,7 @@
 #include "core/correspond.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -175,12 +176,6 @@ class Search {
     float largest_ = 0;
 };
 
-/// What the other camera's positions say at a place between pixels.
-struct Sample {
-    float position = 0, slope = 0;  ///< slope along the curve per column
-    float weight = 0;               ///< sum of the squared weights: variance of `position` over that of one pixel
-};
-
 using Four = Eigen::Array4f;
 
 /// Weights of the cubic B-spline for four nodes at -1, 0, 1, 2 and a place f in [0, 1].
@@ -190,55 +185,141 @@ inline Four spline(float f) {
     return one + f * (first + f * (second + f * third));
 }
 
-/// Cubic B-spline of the 4 x 4 pixels around: exact for linear positions, of nearly the same noise wherever the place
-/// lies between the pixels (0.23 of a pixel's variance; bilinear: 0.25 ... 1). False where one of them is missing.
-inline bool spline_sample(Image<const float> position, int u, float v, float f, float curve_slope, Sample& out) {
-    const int top = static_cast<int>(v);
-    if (u < 1 || u + 2 >= position.width || top < 1 || top + 2 >= position.height) return false;
-    const Four wu = spline(f), wv = spline(v - static_cast<float>(top));
-    const float* corner = position.row(top - 1) + u - 1;
-    const auto row = [&](int j) { return Eigen::Map<const Four>(corner + static_cast<std::ptrdiff_t>(j) * position.width); };
-    const Four columns = (wv[0] * row(0) + wv[1] * row(1)) + (wv[2] * row(2) + wv[3] * row(3));
-    out.position = (wu * columns).sum();
-    out.slope = (columns[3] - columns[0] + curve_slope * (wu * (row(3) - row(0))).sum()) / 3;
-    out.weight = wu.square().sum() * wv.square().sum();
-    return out.position == out.position;
+/// Sums of the squares of the weights: variance of an interpolated position over that of one pixel.
+inline float spline_weight(float f) {
+    const float g = 1 - f, f2 = f * f, g2 = g * g, a = g * g2, b = 4 - 6 * f2 + 3 * f * f2, c = 4 - 6 * g2 + 3 * g * g2,
+                d = f * f2;
+    return (a * a + b * b + c * c + d * d) / 36;
 }
+inline float linear_weight(float f) { return (1 - f) * (1 - f) + f * f; }
 
-/// The same from the two columns and rows of the crossing alone, beside edges and gaps.
-Sample linear_sample(const Crossing& c, float target, float f) {
-    const auto rows = [](float v) {
-        const float g = v - std::floor(v);
-        return (1 - g) * (1 - g) + g * g;
-    };
-    const float v = c.row();
-    return {target, c.p1 - c.p0, (1 - f) * (1 - f) * rows(v) + f * f * rows(v + c.spot.m)};
-}
+constexpr int kChunk = 256;
+using Floats = std::array<float, kChunk>;
+using Ints = std::array<std::int32_t, kChunk>;
 
-/// The place on the curve, its standard deviation, and the slope of the position.
-struct Match {
-    float u = 0, v = 0, sigma = 0, slope = 0;
+/// Successive pixels of a row, one array per quantity: all steps are loops without branches, of vector arithmetic or of
+/// loads from the other camera's maps.
+struct Chunk {
+    Floats line_m, line_k;                        ///< epipolar lines
+    Floats spot_u, spot_v, spot_m, spot_shift;    ///< where the row above continues; NaN where it does not
+    Ints u;                                       ///< crossings: columns, -1 where none,
+    Floats p0, p1, row, m, shift;                 ///< positions, row of the curve at u, its slope, shift
+    Ints index0, index1;                          ///< places of loads
+    Floats g0, g1, f, v;                          ///< shares between pixels, row of the curve at u + f
+    std::array<Floats, 4> weight;                 ///< of the four rows of the spline
+    std::array<float, 4 * kChunk> along, across;  ///< products of the spline, to be summed by fours
+    Floats rise, other_sigma;
+    Floats at_u, at_v, sigma, slope;  ///< the result
+
+    void set(int i, const Crossing& c) {
+        u[i] = c.u;
+        p0[i] = c.p0;
+        p1[i] = c.p1;
+        row[i] = c.row();
+        m[i] = c.spot.m;
+        shift[i] = c.spot.shift;
+    }
 };
 
-inline Match refine(const OtherView& view, const Crossing& c, float target, float target_sigma) {
-    const float f = c.fraction(target), v = c.row() + f * c.spot.m;
-    Sample sample;
-    float shift = 0;
-    bool smooth = spline_sample(view.position_px, c.u, v, f, c.spot.m, sample) && sample.slope * (c.p1 - c.p0) > 0;
-    if (smooth) {
-        shift = (target - sample.position) / sample.slope;
-        // The two differ by noise; more than a pixel means that the slope is none.
-        smooth = std::fabs(shift) < 1;
+inline float clamped(float x, float low, float high) {
+    const float y = x > low ? x : low;
+    return y < high ? y : high;
+}
+inline int clamped(int x, int low, int high) {
+    const int y = x > low ? x : low;
+    return y < high ? y : high;
+}
+
+/// The crossings at the spots themselves; where there is none, u is -1.
+void cross(const OtherView& view, const float* target, int n, Chunk& c) {
+    const int width = view.position_px.width, height = view.position_px.height;
+    const auto right = static_cast<float>(width - 1), bottom = static_cast<float>(height - 1);
+    for (int i = 0; i < n; ++i) {
+        // Loads stay within the image whatever the spots are; NaN becomes 0.
+        const float spot_u = clamped(c.spot_u[i], 0.0F, right - 1);
+        const int u = static_cast<int>(spot_u);
+        const float v0 = c.spot_v[i] + (static_cast<float>(u) - c.spot_u[i]) * c.spot_m[i], v1 = v0 + c.spot_m[i];
+        const int top0 = static_cast<int>(clamped(v0, 0.0F, bottom - 1)), top1 = static_cast<int>(clamped(v1, 0.0F, bottom - 1));
+        const bool ok = (c.spot_u[i] >= 0) & (c.spot_u[i] < right) & (v0 >= 0) & (v0 < bottom) & (v1 >= 0) & (v1 < bottom);
+        c.u[i] = ok ? u : -1;
+        c.row[i] = v0;
+        c.g0[i] = v0 - static_cast<float>(top0);
+        c.g1[i] = v1 - static_cast<float>(top1);
+        c.index0[i] = top0 * width + u;
+        c.index1[i] = top1 * width + u + 1;
+        c.m[i] = c.spot_m[i];
+        c.shift[i] = c.spot_shift[i];
     }
-    if (!smooth) {
-        sample = linear_sample(c, target, f);
-        shift = 0;
+    const float* p = view.position_px.data;
+    for (int i = 0; i < n; ++i) {
+        const float *a = p + c.index0[i], *b = p + c.index1[i];
+        c.p0[i] = a[0] + c.g0[i] * (a[width] - a[0]);
+        c.p1[i] = b[0] + c.g1[i] * (b[width] - b[0]);
     }
-    const int nearest_v = std::min(static_cast<int>(v + 0.5F), view.sigma_px.height - 1);
-    const float sigma = view.sigma_px.row(nearest_v)[f < 0.5F ? c.u : c.u + 1];
-    return {static_cast<float>(c.u) + (f + shift), v + shift * c.spot.m,
-            std::sqrt(target_sigma * target_sigma + sample.weight * sigma * sigma) / std::fabs(sample.slope),
-            sample.slope};
+    for (int i = 0; i < n; ++i) {
+        const float p0 = c.p0[i], p1 = c.p1[i], t = target[i];
+        const bool hit = ((p0 <= t) & (t < p1)) | ((p1 < t) & (t <= p0));
+        c.u[i] = hit ? c.u[i] : -1;
+    }
+}
+
+/// Cubic B-spline of the 4 x 4 pixels around crossing [begin, end): exact for linear positions, of nearly the same noise
+/// wherever the place lies between the pixels (0.23 of a pixel's variance; bilinear: 0.25 ... 1).
+void sample(const OtherView& view, const float* target, int begin, int end, Chunk& c) {
+    const int width = view.position_px.width, height = view.position_px.height;
+    const auto last_row = static_cast<float>(height - 1);
+    for (int i = begin; i < end; ++i) {
+        const float f = (target[i] - c.p0[i]) / (c.p1[i] - c.p0[i]), v = c.row[i] + f * c.m[i];
+        // Any pixels will do where the 4 x 4 are not inside: what they give is not used.
+        const int row = static_cast<int>(clamped(v, 0.0F, last_row)), u = c.u[i];
+        const int left = clamped(u, 1, width - 3), top = clamped(row, 1, height - 3);
+        const int near_u = clamped(f < 0.5F ? u : u + 1, 0, width - 1);
+        c.index0[i] = (top - 1) * width + left - 1;
+        c.index1[i] = static_cast<int>(clamped(v + 0.5F, 0.0F, last_row)) * width + near_u;
+        c.f[i] = f;
+        c.v[i] = v;
+        const float g = v - static_cast<float>(top), h = 1 - g, g2 = g * g, h2 = h * h;
+        c.g0[i] = g;
+        c.weight[0][i] = h * h2 / 6;
+        c.weight[1][i] = (4 - 6 * g2 + 3 * g * g2) / 6;
+        c.weight[2][i] = (4 - 6 * h2 + 3 * h * h2) / 6;
+        c.weight[3][i] = (left == u) & (top == row) ? g * g2 / 6 : kNaN;
+    }
+    for (int i = begin; i < end; ++i) {
+        const float* corner = view.position_px.data + c.index0[i];
+        const auto line = [&](int j) { return Eigen::Map<const Four>(corner + static_cast<std::ptrdiff_t>(j) * width); };
+        const Four first = line(0), last = line(3), f = spline(c.f[i]);
+        const Four columns = (c.weight[0][i] * first + c.weight[1][i] * line(1)) +
+                             (c.weight[2][i] * line(2) + c.weight[3][i] * last);
+        Eigen::Map<Four>(c.along.data() + 4 * i) = f * columns;
+        Eigen::Map<Four>(c.across.data() + 4 * i) = f * (last - first);
+        c.rise[i] = columns[3] - columns[0];
+    }
+    for (int i = begin; i < end; ++i) c.other_sigma[i] = view.sigma_px.data[c.index1[i]];
+}
+
+/// Where between the pixels of crossing [begin, end) the position is the one looked for, and how well that is known.
+void refine(const OtherView& view, const float* target, const float* target_sigma, int begin, int end, Chunk& c) {
+    sample(view, target, begin, end, c);
+    const float *along = c.along.data(), *across = c.across.data();
+    for (int i = begin; i < end; ++i) {
+        const float position = (along[4 * i] + along[4 * i + 1]) + (along[4 * i + 2] + along[4 * i + 3]);
+        const float fall = (across[4 * i] + across[4 * i + 1]) + (across[4 * i + 2] + across[4 * i + 3]);
+        const float linear = c.p1[i] - c.p0[i], slope = (c.rise[i] + c.m[i] * fall) / 3;
+        const float step = (target[i] - position) / slope;
+        // Spline and crossing differ by noise; more than a pixel means that the slope is none. Beside edges and gaps
+        // the two columns and rows of the crossing count alone.
+        const bool smooth = (slope * linear > 0) & (std::fabs(step) < 1);
+        const float f = c.f[i], row0 = c.row[i], row1 = row0 + c.m[i];
+        const float bilinear = (1 - f) * (1 - f) * linear_weight(row0 - std::floor(row0)) +
+                               f * f * linear_weight(row1 - std::floor(row1));
+        const float weight = smooth ? spline_weight(f) * spline_weight(c.g0[i]) : bilinear;
+        const float move = smooth ? step : 0.0F, own = target_sigma[i], other = c.other_sigma[i];
+        c.slope[i] = smooth ? slope : linear;
+        c.at_u[i] = static_cast<float>(c.u[i]) + (f + move);
+        c.at_v[i] = c.v[i] + move * c.m[i];
+        c.sigma[i] = std::sqrt(own * own + weight * other * other) / std::fabs(c.slope[i]);
+    }
 }
 
 /// Solves rows one after the other, each from the one above.
@@ -246,97 +327,120 @@ class Rows {
   public:
     Rows(const OwnView& own, const OtherView& other, const Eigen::Matrix3d& F, const Search& search,
          const CorrespondResult& out)
-        : own_(own), other_(other), F_(F), search_(search), out_(out), width_(own.position_px.width) {
-        for (auto* v : {&trail_u_, &trail_target_, &trail_slope_, &trail_shift_, &line_m_, &line_k_, &spot_v_, &spot_m_,
-                        &spot_shift_, &spot_u_, &shift_u_, &shift_v_})
-            v->assign(static_cast<std::size_t>(width_), 0.0F);
-        std::fill(trail_u_.begin(), trail_u_.end(), kNaN);
-        trail_row_.assign(static_cast<std::size_t>(width_), -kMaxGap - 1);
-    }
+        : own_(own),
+          other_(other),
+          F_(F),
+          search_(search),
+          out_(out),
+          trail_u_(static_cast<std::size_t>(own.position_px.width), kNaN),
+          trail_target_(trail_u_.size()),
+          trail_slope_(trail_u_.size()),
+          trail_shift_(trail_u_.size()),
+          trail_row_(trail_u_.size(), -kMaxGap - 1),
+          no_shift_(2 * trail_u_.size()) {}
 
     void solve(int v) {
-        predict(v);
-        const float* position = own_.position_px.row(v);
-        const float* sigma = own_.sigma_px.row(v);
-        float* pixel = out_.pixel_px.row(v);
-        float* pixel_sigma = out_.sigma_px.row(v);
-        int left = -kMaxGap - 1;  // the last pixel of this row that was solved
-        for (int u = 0; u < width_; ++u) {
-            const float target = position[u];
-            Crossing c;
-            if (target == target) c = find(u, v, target, left);
-            if (!c.found()) {
-                pixel[2 * u] = pixel[2 * u + 1] = pixel_sigma[u] = kNaN;
-                continue;
-            }
-            const Match match = refine(other_, c, target, sigma[u]);
-            pixel[2 * u] = match.u;
-            pixel[2 * u + 1] = match.v;
-            pixel_sigma[u] = match.sigma;
-            trail_u_[u] = match.u;
-            trail_target_[u] = target;
-            trail_slope_[u] = 1 / match.slope;
-            trail_shift_[u] = c.spot.shift;
-            trail_row_[u] = v;
-            left = u;
-        }
+        const int width = own_.position_px.width;
+        left_ = -kMaxGap - 1;
+        for (int begin = 0; begin < width; begin += kChunk) solve(v, begin, std::min(kChunk, width - begin));
     }
 
   private:
-    /// The epipolar line of every pixel of the row, and the place on its curve where the row above continues.
-    void predict(int v) {
-        const Lens lens = search_.lens();
-        const float* position = own_.position_px.row(v);
-        if (!own_.shift_px.empty()) {
-            const float* shift = own_.shift_px.row(v);
-            for (int u = 0; u < width_; ++u) {
-                shift_u_[u] = shift[2 * u];
-                shift_v_[u] = shift[2 * u + 1];
+    void solve(int v, int begin, int n) {
+        const float* position = own_.position_px.row(v) + begin;
+        const float* sigma = own_.sigma_px.row(v) + begin;
+        Chunk& c = chunk_;
+        find_lines(v, begin, n);
+        predict(v, begin, n);
+        cross(other_, position, n, c);
+        for (int i = 0; i < n; ++i)
+            if (c.u[i] < 0 && c.spot_u[i] == c.spot_u[i])
+                c.set(i, search_.near({c.line_m[i], c.line_k[i]}, position[i],
+                                      {c.spot_u[i], c.spot_v[i], c.spot_m[i], c.spot_shift[i]}));
+        refine(other_, position, sigma, 0, n, c);
+        keep(v, begin, 0, n);
+        // The rest one by one, for each starts from the one before.
+        for (int i = 0; i < n; ++i) {
+            if (c.u[i] < 0 && position[i] == position[i]) {
+                c.set(i, find(begin + i, i, position[i]));
+                if (c.u[i] >= 0) {
+                    refine(other_, position, sigma, i, i + 1, c);
+                    keep(v, begin, i, i + 1);
+                }
             }
-        }
-        const float *su = shift_u_.data(), *sv = shift_v_.data(), *tu = trail_u_.data(), *tt = trail_target_.data(),
-                    *ts = trail_slope_.data(), *th = trail_shift_.data();
-        const int* tr = trail_row_.data();
-        float *lm = line_m_.data(), *lk = line_k_.data(), *pu = spot_u_.data(), *pv = spot_v_.data(),
-              *pm = spot_m_.data(), *ph = spot_shift_.data();
-        const double f00 = F_(0, 0), f01 = F_(0, 1), f02 = F_(0, 2), f10 = F_(1, 0), f11 = F_(1, 1), f12 = F_(1, 2),
-                     f20 = F_(2, 0), f21 = F_(2, 1), f22 = F_(2, 2);
-        const double cu = lens.cu, cv = lens.cv, row = v;
-#pragma GCC ivdep
-        for (int u = 0; u < width_; ++u) {
-            const double x = static_cast<double>(u) + su[u], y = row + sv[u];
-            const double a = f00 * x + f01 * y + f02, b = f10 * x + f11 * y + f12, c = f20 * x + f21 * y + f22;
-            const double below = -1 / b;
-            lm[u] = static_cast<float>(a * below);
-            lk[u] = static_cast<float>((c + a * cu) * below - cv);
-        }
-#pragma GCC ivdep
-        for (int u = 0; u < width_; ++u) {
-            const float at_u = tu[u] + (position[u] - tt[u]) * ts[u], relative = at_u - lens.cu;
-            const float at_x = relative + th[u], m = lm[u];
-            const Lens::Place at = lens.along(at_x, m * at_x + lk[u], m);
-            const float step = (relative - at.u) / at.du;
-            const bool good = std::fabs(step) < kLastStep && tr[u] >= v - kMaxGap;
-            pu[u] = good ? at_u : kNaN;
-            pv[u] = at.v + lens.cv + at.dv * step;
-            pm[u] = at.dv / at.du;
-            ph[u] = th[u] + step;
+            left_ = c.u[i] >= 0 ? begin + i : left_;
         }
     }
 
-    [[nodiscard]] Crossing find(int u, int v, float target, int left) const {
-        const Line line{line_m_[u], line_k_[u]};
-        const Spot above{spot_u_[u], spot_v_[u], spot_m_[u], spot_shift_[u]};
-        float predicted = above.u;
-        Crossing c = search_.near(line, target, above);
-        if (c.found()) return c;
-        if (u - left <= kMaxGap) {
-            const float beside = trail_u_[left] + (target - trail_target_[left]) * trail_slope_[left];
+    /// The epipolar lines of the pixels.
+    void find_lines(int v, int begin, int n) {
+        const float* shift = own_.shift_px.empty() ? no_shift_.data() : own_.shift_px.row(v) + 2 * begin;
+        const Eigen::Matrix3d F = F_;
+        const double cu = search_.lens().cu, cv = search_.lens().cv;
+        for (int i = 0; i < n; ++i) {
+            const double x = static_cast<double>(begin + i) + shift[2 * i], y = static_cast<double>(v) + shift[2 * i + 1];
+            const double below = -1 / (F(1, 0) * x + F(1, 1) * y + F(1, 2)), m = (F(0, 0) * x + F(0, 1) * y + F(0, 2)) * below;
+            chunk_.line_m[i] = static_cast<float>(m);
+            chunk_.line_k[i] = static_cast<float>((F(2, 0) * x + F(2, 1) * y + F(2, 2)) * below + m * cu - cv);
+        }
+    }
+
+    /// The places on the curves where the rows above continue.
+    void predict(int v, int begin, int n) {
+        const Lens lens = search_.lens();
+        const float* position = own_.position_px.row(v) + begin;
+        const float *trail_u = trail_u_.data() + begin, *trail_target = trail_target_.data() + begin,
+                    *trail_slope = trail_slope_.data() + begin, *trail_shift = trail_shift_.data() + begin;
+        const std::int32_t* trail_row = trail_row_.data() + begin;
+        Chunk& c = chunk_;
+        for (int i = 0; i < n; ++i) {
+            const float u = trail_u[i] + (position[i] - trail_target[i]) * trail_slope[i], relative = u - lens.cu;
+            const float x = relative + trail_shift[i], m = c.line_m[i];
+            const Lens::Place at = lens.along(x, m * x + c.line_k[i], m);
+            const float step = (relative - at.u) / at.du;
+            const bool good = (std::fabs(step) < kLastStep) & (trail_row[i] >= v - kMaxGap);
+            c.spot_u[i] = good ? u : kNaN;
+            c.spot_v[i] = at.v + lens.cv + at.dv * step;
+            c.spot_m[i] = at.dv / at.du;
+            c.spot_shift[i] = trail_shift[i] + step;
+        }
+    }
+
+    /// Writes the results [first, last) and keeps them for the next row.
+    void keep(int v, int begin, int first, int last) {
+        const Chunk& c = chunk_;
+        const float* position = own_.position_px.row(v) + begin;
+        float* pixel = out_.pixel_px.row(v) + 2 * begin;
+        float* sigma = out_.sigma_px.row(v) + begin;
+        float *trail_u = trail_u_.data() + begin, *trail_target = trail_target_.data() + begin,
+              *trail_slope = trail_slope_.data() + begin, *trail_shift = trail_shift_.data() + begin;
+        std::int32_t* trail_row = trail_row_.data() + begin;
+        for (int i = first; i < last; ++i) {
+            const bool found = c.u[i] >= 0;
+            pixel[2 * i] = found ? c.at_u[i] : kNaN;
+            pixel[2 * i + 1] = found ? c.at_v[i] : kNaN;
+            sigma[i] = found ? c.sigma[i] : kNaN;
+        }
+        for (int i = first; i < last; ++i) {
+            const bool found = c.u[i] >= 0;
+            trail_u[i] = found ? c.at_u[i] : trail_u[i];
+            trail_target[i] = found ? position[i] : trail_target[i];
+            trail_slope[i] = found ? 1 / c.slope[i] : trail_slope[i];
+            trail_shift[i] = found ? c.shift[i] : trail_shift[i];
+            trail_row[i] = found ? v : trail_row[i];
+        }
+    }
+
+    /// The crossing of a pixel that does not continue the row above.
+    [[nodiscard]] Crossing find(int u, int i, float target) const {
+        const Line line{chunk_.line_m[i], chunk_.line_k[i]};
+        float predicted = chunk_.spot_u[i];
+        if (u - left_ <= kMaxGap) {
+            const float beside = trail_u_[left_] + (target - trail_target_[left_]) * trail_slope_[left_];
             if (!(predicted == predicted)) predicted = beside;
-            c = search_.near(line, target, search_.locate(line, beside, trail_shift_[left]));
+            const Crossing c = search_.near(line, target, search_.locate(line, beside, trail_shift_[left_]));
             if (c.found()) return c;
         }
-        (void)v;
         return search_.anywhere(line, target, predicted);
     }
 
@@ -345,11 +449,12 @@ class Rows {
     const Eigen::Matrix3d& F_;
     const Search& search_;
     const CorrespondResult& out_;
-    int width_;
     /// Per column, the last solution: place, position, 1 / slope, shift to the ideal column, and its row.
     std::vector<float> trail_u_, trail_target_, trail_slope_, trail_shift_;
-    std::vector<int> trail_row_;
-    std::vector<float> line_m_, line_k_, spot_u_, spot_v_, spot_m_, spot_shift_, shift_u_, shift_v_;
+    std::vector<std::int32_t> trail_row_;
+    std::vector<float> no_shift_;
+    int left_ = 0;  ///< the last pixel of this row that was solved
+    Chunk chunk_;
 };
 
 }  // namespace
