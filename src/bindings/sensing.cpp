@@ -195,11 +195,11 @@ nb::tuple correspond(const AnyIn<float>& own_position, const AnyIn<float>& own_s
 }
 
 nb::tuple triangulate(const AnyIn<double>& own, const AnyIn<float>& own_shift, const AnyIn<double>& other,
-                      const AnyIn<float>& other_shift, const AnyIn<float>& pixel, const AnyIn<float>& sigma,
-                      int threads) {
+                      const AnyIn<float>& pixel, const AnyIn<float>& sigma, int threads) {
     const std::size_t h = pixel.shape(0), w = pixel.shape(1);
     auto points = make_array<float>({h, w, 3}), sigma_mm = make_array<float>({h, w}), miss = make_array<float>({h, w});
-    const planish::ViewGeometry a{make_camera(own), view_of(own_shift)}, b{make_camera(other), view_of(other_shift)};
+    const planish::ViewGeometry a{make_camera(own), view_of(own_shift)};
+    const planish::Camera b = make_camera(other);
     const planish::TriangulateResult out{view_of(points), view_of(sigma_mm), view_of(miss)};
     const auto p = view_of(pixel), s = view_of(sigma);
     {

@@ -85,7 +85,7 @@ class Search {
     [[nodiscard]] Spot locate(const Line& line, float u, float shift) const {
         for (int i = 0;; ++i) {
             const float x = u - lens_.cu + shift;
-            const Lens::Place at = lens_.along(x, line.m * x + line.k, line.m);
+            const Lens::Place at = lens_.along(x, line.m * x + line.k, 1, line.m);
             const float step = (u - lens_.cu - at.u) / at.du;
             shift += step;
             if (std::fabs(step) < kLastStep || i == kMaxNewton)
@@ -396,7 +396,7 @@ class Rows {
         for (int i = 0; i < n; ++i) {
             const float u = trail_u[i] + (position[i] - trail_target[i]) * trail_slope[i], relative = u - lens.cu;
             const float x = relative + trail_shift[i], m = c.line_m[i];
-            const Lens::Place at = lens.along(x, m * x + c.line_k[i], m);
+            const Lens::Place at = lens.along(x, m * x + c.line_k[i], 1, m);
             const float step = (relative - at.u) / at.du;
             const bool good = (std::fabs(step) < kLastStep) & (trail_row[i] >= v - kMaxGap);
             c.spot_u[i] = good ? u : kNaN;

@@ -43,15 +43,15 @@ struct Lens {
         p1 = f(k[2]), p2 = f(k[3]), s1 = f(k[8]), s2 = f(k[9]), s3 = f(k[10]), s4 = f(k[11]);
     }
 
-    /// A distorted pixel, relative to (cu, cv), and its derivative along a line.
+    /// A distorted pixel, relative to (cu, cv), and its derivative along a direction.
     struct Place {
         float u, v, du, dv;
     };
 
-    /// Image of the ideal pixel (x, y), relative to (cu, cv), and its derivative as x moves along a line of slope m.
-    [[nodiscard]] Place along(float x, float y, float m) const {
+    /// Image of the ideal pixel (x, y), relative to (cu, cv), and its derivative as the ideal pixel moves by (dx, dy).
+    [[nodiscard]] Place along(float x, float y, float dx, float dy) const {
         const float nx = i00 * x + i01 * y, ny = i10 * x + i11 * y;
-        const float tx = i00 + i01 * m, ty = i10 + i11 * m;
+        const float tx = i00 * dx + i01 * dy, ty = i10 * dx + i11 * dy;
         const float r2 = nx * nx + ny * ny, dr2 = 2 * (nx * tx + ny * ty), xy = nx * ny, dxy = tx * ny + nx * ty;
         const float below = 1 / (1 + r2 * (d0 + r2 * (d1 + r2 * d2)));
         const float radial = r2 * (n0 + r2 * (n1 + r2 * n2)) * below;
@@ -59,11 +59,9 @@ struct Lens {
             (n0 + r2 * (2 * n1 + 3 * r2 * n2) - radial * (d0 + r2 * (2 * d1 + 3 * r2 * d2))) * below * dr2;
         const float sx = nx * radial + 2 * p1 * xy + p2 * (r2 + 2 * nx * nx) + r2 * (s1 + r2 * s2);
         const float sy = ny * radial + 2 * p2 * xy + p1 * (r2 + 2 * ny * ny) + r2 * (s3 + r2 * s4);
-        const float dx =
-            tx * radial + nx * turn + 2 * p1 * dxy + p2 * (dr2 + 4 * nx * tx) + dr2 * (s1 + 2 * r2 * s2);
-        const float dy =
-            ty * radial + ny * turn + 2 * p2 * dxy + p1 * (dr2 + 4 * ny * ty) + dr2 * (s3 + 2 * r2 * s4);
-        return {x + a00 * sx + a01 * sy, y + a10 * sx + a11 * sy, 1 + a00 * dx + a01 * dy, m + a10 * dx + a11 * dy};
+        const float gx = tx * radial + nx * turn + 2 * p1 * dxy + p2 * (dr2 + 4 * nx * tx) + dr2 * (s1 + 2 * r2 * s2);
+        const float gy = ty * radial + ny * turn + 2 * p2 * dxy + p1 * (dr2 + 4 * ny * ty) + dr2 * (s3 + 2 * r2 * s4);
+        return {x + a00 * sx + a01 * sy, y + a10 * sx + a11 * sy, dx + a00 * gx + a01 * gy, dy + a10 * gx + a11 * gy};
     }
 };
 
