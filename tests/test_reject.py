@@ -77,7 +77,7 @@ def test_islands_equal_their_numpy_twin():
     rng = np.random.default_rng(4)
     depth = np.where(rng.random((40, 50)) < 0.6, 800.0, np.nan).astype(np.float32)
     depth[10:20, 10:30] += 30
-    found = _core.islands(depth, np.full_like(depth, 1e-3), 0.005, 5.0, 12)
+    found = _core.islands(depth, np.full_like(depth, 1e-3), np.empty((0, 0), np.uint8), 0.005, 5.0, 12, 2)
     assert np.array_equal(found == 1, reference.small_islands(depth.astype(float), 0.005 * 800 + 0.007, 12))
     assert 0 < found.sum() < np.isfinite(depth).sum()
 
@@ -90,7 +90,7 @@ def test_grazing_points_equal_their_numpy_twin():
     lit = rng.random((40, 80)) > 0.1
     depth[~lit | (rng.random((40, 80)) < 0.1)] = np.nan
     sigma = np.full_like(depth, 0.05)
-    found = _core.grazing_points(depth, sigma, lit.view(np.uint8), 1 / 400, 4.0, 0.5, 3.0, 2)
+    found = _core.grazing_points(depth, sigma, np.where(lit, np.float32(1), np.float32(np.nan)), 1 / 400, 4.0, 0.5, 3.0, 2)
     expected = reference.grazing(depth.astype(float), 0.05, lit, 1 / 400, 4.0, 0.5, 3.0)
     assert np.array_equal(found == 1, expected)
     assert 0.05 < expected.mean() < 0.9

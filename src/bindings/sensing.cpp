@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <initializer_list>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <thread>
 #include <vector>
@@ -15,6 +16,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
 #include "core/camera.hpp"
+#include "core/check_points.hpp"
 #include "core/correspond.hpp"
 #include "core/decode_gray.hpp"
 #include "core/decode_phase.hpp"
@@ -22,6 +24,7 @@
 #include "core/image.hpp"
 #include "core/islands.hpp"
 #include "core/phase_edges.hpp"
+#include "core/projector_residual.hpp"
 #include "core/repair_periods.hpp"
 #include "core/triangulate.hpp"
 #include "core/undistortion.hpp"
@@ -43,6 +46,7 @@ AnyOut<T> make_array(std::initializer_list<std::size_t> shape) {
     for (const std::size_t n : shape) size *= n;
     auto data = std::make_unique_for_overwrite<T[]>(size);
     T* raw = data.release();
+    prefer_large_pages(raw, size * sizeof(T));
     nb::capsule owner(raw, [](void* p) noexcept { delete[] static_cast<T*>(p); });
     return AnyOut<T>(raw, shape.size(), shape.begin(), owner);
 }
@@ -209,41 +213,84 @@ nb::tuple triangulate(const AnyIn<double>& own, const AnyIn<float>& own_shift, c
     return nb::make_tuple(points, sigma_mm, miss);
 }
 
+planish::ProjectorRay make_projector(const AnyIn<double>& projector, int axis, const AnyIn<double>& center) {
+    return {make_camera(projector), axis, Eigen::Vector3d(center.data()[0], center.data()[1], center.data()[2])};
+}
+
 nb::tuple projector_residual(const AnyIn<double>& projector, int axis, const AnyIn<double>& center,
                              const AnyIn<float>& points, const AnyIn<float>& sigma_mm, const AnyIn<float>& position,
                              const AnyIn<float>& position_sigma, int threads) {
     const std::size_t h = points.shape(0), w = points.shape(1);
     auto residual = make_array<float>({h, w}), sigma = make_array<float>({h, w});
-    const planish::Camera model = make_camera(projector);
-    const Eigen::Vector3d origin(center.data()[0], center.data()[1], center.data()[2]);
+    const planish::ProjectorRay ray = make_projector(projector, axis, center);
     const auto x = view_of(points), s = view_of(sigma_mm), p = view_of(position), ps = view_of(position_sigma);
     const auto r = view_of(residual), rs = view_of(sigma);
     {
         nb::gil_scoped_release release;
-        planish::projector_residual(model, axis, origin, x, s, p, ps, threads, r, rs);
+        planish::projector_residual(ray, x, s, p, ps, threads, r, rs);
     }
     return nb::make_tuple(residual, sigma);
 }
 
-AnyOut<std::uint8_t> grazing_points(const AnyIn<float>& depth, const AnyIn<float>& sigma,
-                                    const AnyIn<std::uint8_t>& lit, float pixel_size, float max_slope, float rim_px,
-                                    float sigmas, int threads) {
+/// `projector` of size 0: there is none. `limits`: largest miss, allowed disagreement with the projector, standard
+/// deviations on top of it, box low (3) and high (3). `reasons`: bits of unmatched, outside, mismatch.
+nb::tuple check_points(const AnyIn<float>& points, const AnyIn<float>& sigma_mm, const AnyIn<float>& miss,
+                       const AnyIn<float>& position, const AnyIn<float>& position_sigma,
+                       const AnyIn<std::uint16_t>& rejected, const AnyIn<double>& own, const AnyIn<double>& projector,
+                       int axis, const std::vector<float>& limits, const std::vector<int>& reasons, int threads) {
+    const std::size_t h = points.shape(0), w = points.shape(1);
+    auto depth = make_array<float>({h, w});
+    auto mask = make_array<std::uint16_t>({h, w});
+    const planish::Camera camera = make_camera(own);
+    const Eigen::Vector3d center = camera.center_sensor();
+    std::optional<planish::ProjectorRay> ray;
+    if (projector.size() != 0) ray.emplace(make_camera(projector), axis, center);
+    planish::CheckedPoints in{view_of(points), view_of(sigma_mm),       view_of(miss),
+                              view_of(position), view_of(position_sigma), ray ? &*ray : nullptr, {}};
+    in.depth_row << camera.R_camera_sensor.row(2).transpose().cast<float>(),
+        static_cast<float>(camera.t_camera_sensor.z());
+    const planish::CheckLimits limit{limits.at(0), limits.at(1), limits.at(2),
+                                     Eigen::Vector3f(limits.at(3), limits.at(4), limits.at(5)),
+                                     Eigen::Vector3f(limits.at(6), limits.at(7), limits.at(8))};
+    const auto bit = [&](std::size_t i) { return static_cast<std::uint16_t>(reasons.at(i)); };
+    const planish::CheckReasons bits{bit(0), bit(1), bit(2)};
+    const auto z = view_of(depth);
+    const auto r = view_of(mask);
+    {
+        nb::gil_scoped_release release;
+        std::copy_n(rejected.data(), h * w, mask.data());
+        planish::check_points(in, limit, bits, threads, r, z);
+    }
+    return nb::make_tuple(mask, depth);
+}
+
+void drop_rejected(const AnyIn<std::uint16_t>& rejected,
+                   const nb::ndarray<float, nb::c_contig, nb::device::cpu>& values, int threads) {
+    const auto r = view_of(rejected);
+    const planish::Image<float> x{values.data(), r.height, r.width,
+                                  static_cast<int>(values.size() / std::max<std::size_t>(rejected.size(), 1))};
+    nb::gil_scoped_release release;
+    planish::drop_rejected(r, threads, x);
+}
+
+AnyOut<std::uint8_t> grazing_points(const AnyIn<float>& depth, const AnyIn<float>& sigma, const AnyIn<float>& position,
+                                    float pixel_size, float max_slope, float rim_px, float sigmas, int threads) {
     auto grazing = make_array<std::uint8_t>({depth.shape(0), depth.shape(1)});
     const auto out = view_of(grazing);
-    const auto z = view_of(depth), s = view_of(sigma);
-    const auto l = view_of(lit);
+    const auto z = view_of(depth), s = view_of(sigma), x = view_of(position);
     nb::gil_scoped_release release;
-    planish::grazing_points(z, s, l, {pixel_size, max_slope, rim_px, sigmas}, threads, out);
+    planish::grazing_points(z, s, x, {pixel_size, max_slope, rim_px, sigmas}, threads, out);
     return grazing;
 }
 
-AnyOut<std::uint8_t> islands(const AnyIn<float>& depth, const AnyIn<float>& sigma, float depth_per_pixel, float sigmas,
-                             int min_pixels) {
+AnyOut<std::uint8_t> islands(const AnyIn<float>& depth, const AnyIn<float>& sigma, const AnyIn<std::uint8_t>& excluded,
+                             float depth_per_pixel, float sigmas, int min_pixels, int threads) {
     auto small = make_array<std::uint8_t>({depth.shape(0), depth.shape(1)});
     const auto out = view_of(small);
     const auto z = view_of(depth), s = view_of(sigma);
+    const auto x = view_of(excluded);
     nb::gil_scoped_release release;
-    planish::islands(z, s, {depth_per_pixel, sigmas, min_pixels}, out);
+    planish::islands(z, s, x, {depth_per_pixel, sigmas, min_pixels}, threads, out);
     return small;
 }
 
@@ -258,6 +305,8 @@ void bind_sensing(nb::module_& m) {
     m.def("correspond", &correspond);
     m.def("triangulate", &triangulate);
     m.def("projector_residual", &projector_residual);
+    m.def("check_points", &check_points);
+    m.def("drop_rejected", &drop_rejected);
     m.def("grazing_points", &grazing_points);
     m.def("islands", &islands);
 }

@@ -133,43 +133,4 @@ void triangulate(const ViewGeometry& own, const Camera& other, Image<const float
     });
 }
 
-void projector_residual(const Camera& projector, int axis, const Eigen::Vector3d& center_own, Image<const float> points,
-                        Image<const float> sigma_mm, Image<const float> position, Image<const float> position_sigma,
-                        int threads, Image<float> residual, Image<float> residual_sigma) {
-    const Eigen::Matrix3f R = projector.R_camera_sensor.cast<float>();
-    const Eigen::Vector3f t = projector.t_camera_sensor.cast<float>(), center = center_own.cast<float>();
-    const Lens lens(projector, axis != 0);
-    const float f = static_cast<float>(axis == 0 ? projector.fx : projector.fy),
-                g = static_cast<float>(axis == 0 ? projector.fy : projector.fx);
-    const float skew_u = axis == 0 ? static_cast<float>(projector.skew) : 0.0F,
-                skew_v = axis == 0 ? 0.0F : static_cast<float>(projector.skew);
-    const Eigen::RowVector3f first = R.row(axis), second = R.row(1 - axis), third = R.row(2);
-    const float t0 = t[axis], t1 = t[1 - axis], t2 = t[2];
-    const int width = points.width;
-    parallel_for(static_cast<std::size_t>(points.height), threads, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i) {
-            const int v = static_cast<int>(i);
-            const float *p = points.row(v), *s = sigma_mm.row(v), *x = position.row(v), *xs = position_sigma.row(v);
-            float *out = residual.row(v), *out_sigma = residual_sigma.row(v);
-            for (int u = 0; u < width; ++u) {
-                const float px = p[3 * u], py = p[3 * u + 1], pz = p[3 * u + 2];
-                const float rx = px - center[0], ry = py - center[1], rz = pz - center[2];
-                const float a = first[0] * px + first[1] * py + first[2] * pz + t0,
-                            b = second[0] * px + second[1] * py + second[2] * pz + t1,
-                            below = 1 / (third[0] * px + third[1] * py + third[2] * pz + t2);
-                const float na = a * below, nb = b * below;
-                // The normalised image as the point moves by one ray.
-                const float dz = third[0] * rx + third[1] * ry + third[2] * rz;
-                const float da = (first[0] * rx + first[1] * ry + first[2] * rz - na * dz) * below,
-                            db = (second[0] * rx + second[1] * ry + second[2] * rz - nb * dz) * below;
-                const Lens::Place at = lens.along(f * na + skew_u * nb, g * nb + skew_v * na, f * da + skew_u * db,
-                                                  g * db + skew_v * da);
-                const float along = at.du / std::sqrt(rx * rx + ry * ry + rz * rz) * s[u];
-                out[u] = at.u + lens.cu - x[u];
-                out_sigma[u] = std::sqrt(along * along + xs[u] * xs[u]);
-            }
-        }
-    });
-}
-
 }  // namespace planish

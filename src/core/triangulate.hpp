@@ -27,10 +27,4 @@ struct TriangulateResult {
 void triangulate(const ViewGeometry& own, const Camera& other, Image<const float> pixel_px, Image<const float> sigma_px,
                  int threads, const TriangulateResult& out);
 
-/// Position of each point in the projector (axis 0: u, 1: v), less the decoded position, and its standard deviation.
-void projector_residual(const Camera& projector, int axis, const Eigen::Vector3d& center_own,
-                        Image<const float> points_sensor, Image<const float> sigma_mm, Image<const float> position_px,
-                        Image<const float> position_sigma_px, int threads, Image<float> residual_px,
-                        Image<float> residual_sigma_px);
-
 }  // namespace planish

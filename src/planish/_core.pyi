@@ -170,14 +170,31 @@ def projector_residual(
     position_sigma: F32,
     threads: int,
 ) -> tuple[F32, F32]: ...
+def check_points(
+    points: F32,
+    sigma_mm: F32,
+    miss: F32,
+    position: F32,
+    position_sigma: F32,
+    rejected: U16,
+    own: F64,
+    projector: F64,
+    axis: int,
+    limits: Sequence[float],
+    reasons: Sequence[int],
+    threads: int,
+) -> tuple[U16, F32]: ...
+def drop_rejected(rejected: U16, values: F32, threads: int) -> None: ...
 def grazing_points(
     depth: F32,
     sigma: F32,
-    lit: U8,
+    position: F32,
     pixel_size: float,
     max_slope: float,
     rim_px: float,
     sigmas: float,
     threads: int,
 ) -> U8: ...
-def islands(depth: F32, sigma: F32, depth_per_pixel: float, sigmas: float, min_pixels: int) -> U8: ...
+def islands(
+    depth: F32, sigma: F32, excluded: U8, depth_per_pixel: float, sigmas: float, min_pixels: int, threads: int
+) -> U8: ...

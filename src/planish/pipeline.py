@@ -33,7 +33,7 @@ from planish.registration.result import PairResult, Registration
 from planish.sensing.capture import Capture, GreyImage
 from planish.sensing.correspond import correspond
 from planish.sensing.decode import DecodeOptions, PhaseMap, decode_views
-from planish.sensing.reject import RejectOptions, reject_edges, reject_points
+from planish.sensing.reject import RejectOptions, drop_points, reject_edges, reject_points
 from planish.sensing.sequence import read_layout
 from planish.sensing.triangulate import triangulate
 
@@ -96,9 +96,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
     rejected = reject_points(
         found, phases[own], rig.cameras[own], rig.projector, capture.manifest.volume_mm, options.reject, threads
     )
-    invalid = rejected != 0
-    for array in (found.points_sensor, found.sigma_mm, pairs.pixel_px):
-        array[invalid] = np.nan
+    drop_points(found, pairs, rejected, threads)
     return Measurement(
         name=capture.name,
         organised_on=own,
