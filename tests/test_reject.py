@@ -68,8 +68,9 @@ def test_edges_of_rows_equal_their_numpy_twin():
     rng = np.random.default_rng(3)
     position = (np.cumsum(rng.choice([0.8, 1.0, 1.2, 9.0], (1, 400), p=[0.3, 0.3, 0.3, 0.1]), 1)).astype(np.float32)
     position[0, rng.integers(0, 400, 30)] = np.nan
-    found = _core.phase_edges(position, np.full_like(position, 1e-3), 1.0, 5.0, 1)
-    assert np.array_equal(found[0] == 1, reference.edges_of_row(position[0], np.float32(1.0)))
+    maps = position, np.full_like(position, 1e-3), np.zeros(position.shape, np.uint16)
+    found = _core.phase_edges(*maps, 1.0, 5.0, 4, 1)[2]
+    assert np.array_equal(found[0] == 4, reference.edges_of_row(position[0], np.float32(1.0)))
     assert found.any()
 
 

@@ -171,14 +171,18 @@ nb::tuple repair_periods(const AnyIn<float>& position, const AnyIn<float>& sigma
     return nb::make_tuple(new_position, new_sigma, new_rejected);
 }
 
-AnyOut<std::uint8_t> phase_edges(const AnyIn<float>& position, const AnyIn<float>& sigma, float jump_px, float sigmas,
-                                 int threads) {
-    auto edge = make_array<std::uint8_t>({position.shape(0), position.shape(1)});
-    const auto out = view_of(edge);
-    const auto p = view_of(position), s = view_of(sigma);
-    nb::gil_scoped_release release;
-    planish::phase_edges(p, s, jump_px, sigmas, threads, out);
-    return edge;
+nb::tuple phase_edges(const AnyIn<float>& position, const AnyIn<float>& sigma, const AnyIn<std::uint16_t>& rejected,
+                      float jump_px, float sigmas, int reason, int threads) {
+    const std::size_t h = position.shape(0), w = position.shape(1);
+    auto new_position = make_array<float>({h, w}), new_sigma = make_array<float>({h, w});
+    auto new_rejected = make_array<std::uint16_t>({h, w});
+    const planish::PhaseMaps maps{view_of(position), view_of(sigma), view_of(rejected)};
+    const planish::PhaseMapsOut out{view_of(new_position), view_of(new_sigma), view_of(new_rejected)};
+    {
+        nb::gil_scoped_release release;
+        planish::phase_edges(maps, jump_px, sigmas, static_cast<std::uint16_t>(reason), threads, out);
+    }
+    return nb::make_tuple(new_position, new_sigma, new_rejected);
 }
 
 nb::tuple correspond(const AnyIn<float>& own_position, const AnyIn<float>& own_sigma, const AnyIn<float>& own_shift,

@@ -145,7 +145,9 @@ def undistortion_shifts(camera: F64, height: int, width: int, threads: int) -> F
 def repair_periods(
     position: F32, sigma: F32, rejected: U16, period_px: float, tolerance_px: float, sigmas: float, threads: int
 ) -> tuple[F32, F32, U16]: ...
-def phase_edges(position: F32, sigma: F32, jump_px: float, sigmas: float, threads: int) -> U8: ...
+def phase_edges(
+    position: F32, sigma: F32, rejected: U16, jump_px: float, sigmas: float, reason: int, threads: int
+) -> tuple[F32, F32, U16]: ...
 def correspond(
     own_position: F32,
     own_sigma: F32,

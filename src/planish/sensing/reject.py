@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -17,6 +19,8 @@ from planish.sensing.triangulate import TriangulatedPoints
 
 #: The lit part of a pixel lies at most so far from its centre [px].
 RIM_PX = 0.5
+#: Every such row and column tells how steep the positions are: ten thousands of differences, of which the median counts.
+SLOPE_ROWS = 32
 
 
 class RejectOptions(Options):
@@ -55,9 +59,12 @@ class RejectOptions(Options):
 
 def reject_edges(phase: PhaseMap, options: RejectOptions, threads: int) -> PhaseMap:
     """Return the map without the pixels beside a jump: they mix two surfaces, and no interpolation may bridge them."""
-    jump_px = options.edge_px * position_slope(phase.position_px)
-    edge = _core.phase_edges(phase.position_px, phase.sigma_px, jump_px, options.sigmas, threads)
-    return phase.without(edge.view(np.bool_), "edge")
+    jump_px = options.edge_px * position_slope(phase.position_px, SLOPE_ROWS)
+    bit = 1 << REJECTIONS.index("edge")
+    position, sigma, rejected = _core.phase_edges(
+        phase.position_px, phase.sigma_px, phase.rejected, jump_px, options.sigmas, bit, threads
+    )
+    return replace(phase, position_px=position, sigma_px=sigma, rejected=rejected)
 
 
 def reject_points(
