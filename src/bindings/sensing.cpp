@@ -249,8 +249,13 @@ nb::tuple check_points(const AnyIn<float>& points, const AnyIn<float>& sigma_mm,
     const Eigen::Vector3d center = camera.center_sensor();
     std::optional<planish::ProjectorRay> ray;
     if (projector.size() != 0) ray.emplace(make_camera(projector), axis, center);
-    planish::CheckedPoints in{view_of(points), view_of(sigma_mm),       view_of(miss),
-                              view_of(position), view_of(position_sigma), ray ? &*ray : nullptr, {}};
+    planish::CheckedPoints in{view_of(points),
+                              view_of(sigma_mm),
+                              view_of(miss),
+                              view_of(position),
+                              view_of(position_sigma),
+                              ray ? &*ray : nullptr,
+                              {}};
     in.depth_row << camera.R_camera_sensor.row(2).transpose().cast<float>(),
         static_cast<float>(camera.t_camera_sensor.z());
     const planish::CheckLimits limit{limits.at(0), limits.at(1), limits.at(2),

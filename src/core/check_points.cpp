@@ -34,7 +34,8 @@ void check_points(const CheckedPoints& in, const CheckLimits& limits, const Chec
             // Without a point the numbers are NaN, and comparisons of NaN are false.
             for (int u = 0; u < width; ++u) {
                 const float a = p[3 * u], b = p[3 * u + 1], c = p[3 * u + 2];
-                const bool out = (a < low[0]) | (a > high[0]) | (b < low[1]) | (b > high[1]) | (c < low[2]) | (c > high[2]);
+                const bool out =
+                    (a < low[0]) | (a > high[0]) | (b < low[1]) | (b > high[1]) | (c < low[2]) | (c > high[2]);
                 const bool off = (std::fabs(miss[u]) > limits.max_miss_px) |
                                  (std::fabs(r[u]) > limits.projector_px + limits.sigmas * s[u]);
                 reason[u] = (c == c ? 0 : unmatched) | (out ? outside : 0) | (off ? mismatch : 0);
@@ -65,8 +66,7 @@ void drop_rejected(Image<const std::uint16_t> rejected, int threads, Image<float
                 }
             } else {
                 for (int u = 0; u < width; ++u)
-                    for (int k = 0; k < channels; ++k)
-                        x[channels * u + k] = mask[u] == 0 ? x[channels * u + k] : kNaN;
+                    for (int k = 0; k < channels; ++k) x[channels * u + k] = mask[u] == 0 ? x[channels * u + k] : kNaN;
             }
         }
     });

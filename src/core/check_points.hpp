@@ -27,8 +27,8 @@ struct CheckedPoints {
     Eigen::Vector4f depth_row;  ///< camera z of a point (x, y, z, 1)
 };
 
-/// Adds to `rejected` the reasons that a point itself gives, without looking at its neighbours, and writes the depth [mm]
-/// of those without any reason, NaN elsewhere. `unmatched` is for pixels that had no reason yet to have no point.
+/// Adds to `rejected` the reasons that a point itself gives, without looking at its neighbours, and writes the depth
+/// [mm] of those without any reason, NaN elsewhere. `unmatched` is for pixels that had no reason yet to have no point.
 void check_points(const CheckedPoints& points, const CheckLimits& limits, const CheckReasons& reasons, int threads,
                   Image<std::uint16_t> rejected, Image<float> depth_mm);
 

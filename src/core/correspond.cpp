@@ -6,7 +6,7 @@
 #include <limits>
 #include <vector>
 
-#include "core/block_index.hpp"
+#include "core/curve_search.hpp"
 #include "core/lens.hpp"
 #include "core/parallel.hpp"
 
@@ -14,168 +14,10 @@ namespace planish {
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
-/// Steps from the continuation before the whole curve is searched.
-constexpr int kMaxWarmSteps = 8;
 /// A neighbour says where a pixel continues only over so many pixels of `own`.
 constexpr int kMaxGap = 8;
 /// Rows that follow each other's solutions; fixed, so that the result does not depend on the number of threads.
 constexpr int kRowsOfBlock = 64;
-/// A step of the column on the curve [px] after which the next would be below rounding: it is squared times the
-/// curvature of the distortion, 1e-3 per pixel at most.
-constexpr float kLastStep = 0.25F;
-/// The curve is straight over so many columns: 2^2 / 2 times 1e-4 (1e-3 at most) of a pixel off.
-constexpr float kStraight = 2.0F;
-
-/// An epipolar line in ideal pixels relative to the lens's centre: y = m x + k.
-struct Line {
-    float m = 0, k = 0;
-};
-
-/// A place on an epipolar curve: row v at column u, slope m = dv / du there, and the ideal column less u.
-struct Spot {
-    float u = 0, v = 0, m = 0, shift = 0;
-};
-
-struct Crossing {
-    int u = -1;  ///< between columns u and u + 1
-    float p0 = 0, p1 = 0;
-    Spot spot;  ///< on the curve, at or near column u
-
-    [[nodiscard]] bool found() const { return u >= 0; }
-    [[nodiscard]] float row() const { return spot.v + (static_cast<float>(u) - spot.u) * spot.m; }
-    [[nodiscard]] float fraction(float target) const { return (target - p0) / (p1 - p0); }
-};
-
-bool encloses(float p0, float p1, float target) {
-    return (p0 <= target && target < p1) || (p1 < target && target <= p0);
-}
-
-/// Position at column u and row v, linear between the two rows; NaN outside and where either row has none.
-inline float position_at(Image<const float> position, int u, float v) {
-    if (!(v >= 0) || !(v < static_cast<float>(position.height - 1))) return kNaN;
-    const int top = static_cast<int>(v);
-    const float* p = position.row(top) + u;
-    return p[0] + (v - static_cast<float>(top)) * (p[position.width] - p[0]);
-}
-
-class Search {
-  public:
-    Search(const OtherView& view, int threads)
-        : position_(view.position_px), blocks_(view.position_px, threads), lens_(view.camera, view.transposed) {
-        constexpr int size = BlockIndex::kBlock;
-        shifts_.resize(static_cast<std::size_t>(blocks_.rows()) * blocks_.columns());
-        parallel_for(static_cast<std::size_t>(blocks_.rows()), threads, [&](std::size_t begin, std::size_t end) {
-            for (std::size_t row = begin; row < end; ++row)
-                for (int column = 0; column < blocks_.columns(); ++column) {
-                    Eigen::Vector2d pixel((column + 0.5) * size, (static_cast<double>(row) + 0.5) * size);
-                    if (view.transposed) std::swap(pixel.x(), pixel.y());
-                    const Camera& c = view.camera;
-                    Eigen::Vector2d shift = c.to_pixel(c.undistort(c.from_pixel(pixel))) - pixel;
-                    if (view.transposed) std::swap(shift.x(), shift.y());
-                    shifts_[row * blocks_.columns() + column] = shift.cast<float>();
-                }
-        });
-        for (const auto& shift : shifts_)
-            if (shift.y() == shift.y()) largest_ = std::max(largest_, std::fabs(shift.y()));
-    }
-
-    [[nodiscard]] const Lens& lens() const { return lens_; }
-
-    /// The curve at column u; `shift` is near the one there.
-    [[nodiscard]] Spot locate(const Line& line, float u, float shift) const {
-        for (int i = 0;; ++i) {
-            const float x = u - lens_.cu + shift;
-            const Lens::Place at = lens_.along(x, line.m * x + line.k, 1, line.m);
-            const float step = (u - lens_.cu - at.u) / at.du;
-            shift += step;
-            if (std::fabs(step) < kLastStep || i == kMaxNewton)
-                return {u, at.v + lens_.cv + at.dv * step, at.dv / at.du, shift};
-        }
-    }
-
-    /// Walks from the predicted place along the curve, as far as the slope suggests.
-    [[nodiscard]] Crossing near(const Line& line, float target, Spot spot) const {
-        if (!(spot.u >= 0)) return {};
-        const int last = position_.width - 2;
-        int u = static_cast<int>(std::min(spot.u, static_cast<float>(last + 1)));
-        for (int i = 0; i < kMaxWarmSteps; ++i) {
-            if (u < 0 || u > last) return {};
-            const auto column = static_cast<float>(u);
-            if (std::fabs(column - spot.u) > kStraight) spot = locate(line, column, spot.shift);
-            const float v = spot.v + (column - spot.u) * spot.m;
-            const float p0 = position_at(position_, u, v), p1 = position_at(position_, u + 1, v + spot.m);
-            if (encloses(p0, p1, target)) return {u, p0, p1, spot};
-            const float steps = std::floor((target - p0) / (p1 - p0));
-            if (!(std::fabs(steps) < kMaxWarmSteps) || steps == 0) return {};
-            u += static_cast<int>(steps);
-        }
-        return {};
-    }
-
-    /// Every crossing of the whole curve is looked at; the one nearest to `predicted_u`, or the only one.
-    [[nodiscard]] Crossing anywhere(const Line& line, float target, float predicted_u) const {
-        constexpr int size = BlockIndex::kBlock;
-        const float left = line.m * -lens_.cu + line.k + lens_.cv;
-        const float right = left + line.m * static_cast<float>(position_.width - 1);
-        const int first = std::max(0, block_row(std::min(left, right) - largest_ - kMargin));
-        const int last = std::min(blocks_.rows() - 1, block_row(std::max(left, right) + largest_ + kMargin));
-        Crossing best;
-        bool several = false;
-        for (int row = first; row <= last; ++row)
-            for (const int column : blocks_.candidates(row, target)) {
-                const Eigen::Vector2f& shift = shifts_[static_cast<std::size_t>(row) * blocks_.columns() + column];
-                const int begin = column * size, end = std::min(begin + size, position_.width - 1);
-                const auto top = static_cast<float>(row * size);
-                // The straight line, with the block's own shift: where the curve passes the block, within the margin.
-                const float v = left + line.m * (static_cast<float>(begin) + shift.x()) - shift.y();
-                const float leave = v + line.m * size;
-                if (!(std::max(v, leave) > top - kMargin && std::min(v, leave) < top + size + kMargin)) continue;
-                if (!blocks_.holds(row, column, target)) continue;
-                scan(line, target, begin, end, shift.x(), [&](const Crossing& c) {
-                    several = several || (best.found() && best.u != c.u);
-                    if (!best.found() || distance(c, predicted_u) < distance(best, predicted_u)) best = c;
-                });
-            }
-        return several && !(predicted_u == predicted_u) ? Crossing{} : best;
-    }
-
-  private:
-    static constexpr int kMaxNewton = 4;
-    /// Of the rows of blocks that a curve passes [px]: the shift changes by less within a block.
-    static constexpr float kMargin = 3.0F;
-
-    static int block_row(float v) { return static_cast<int>(std::floor(v / BlockIndex::kBlock)); }
-    static float distance(const Crossing& c, float u) { return std::fabs(static_cast<float>(c.u) + 0.5F - u); }
-
-    template <class Action>
-    void scan(const Line& line, float target, int begin, int end, float shift, const Action& action) const {
-        const Spot a = locate(line, static_cast<float>(begin), shift), b = locate(line, static_cast<float>(end), shift);
-        const float m = (b.v - a.v) / (b.u - a.u);
-        float p = position_at(position_, begin, a.v);
-        for (int u = begin; u < end; ++u) {
-            const float next = position_at(position_, u + 1, a.v + static_cast<float>(u + 1 - begin) * m);
-            if (encloses(p, next, target)) action(exact({u, p, next, a}, line));
-            p = next;
-        }
-    }
-
-    /// Between the ends of a block the curve was taken as straight: the crossing on the curve itself.
-    [[nodiscard]] Crossing exact(Crossing c, const Line& line) const {
-        c.spot = locate(line, static_cast<float>(c.u), c.spot.shift);
-        const float p0 = position_at(position_, c.u, c.spot.v);
-        const float p1 = position_at(position_, c.u + 1, c.spot.v + c.spot.m);
-        // Where it differs by so much that it no longer encloses, the place is at a pixel and either will do.
-        if ((p1 - p0) * (c.p1 - c.p0) > 0) c.p0 = p0, c.p1 = p1;
-        return c;
-    }
-
-    Image<const float> position_;
-    BlockIndex blocks_;
-    Lens lens_;
-    std::vector<Eigen::Vector2f> shifts_;  ///< of each block's centre to its ideal place
-    float largest_ = 0;
-};
-
 using Four = Eigen::Array4f;
 
 /// Weights of the cubic B-spline for four nodes at -1, 0, 1, 2 and a place f in [0, 1].
@@ -239,8 +81,10 @@ void cross(const OtherView& view, const float* target, int n, Chunk& c) {
         const float spot_u = clamped(c.spot_u[i], 0.0F, right - 1);
         const int u = static_cast<int>(spot_u);
         const float v0 = c.spot_v[i] + (static_cast<float>(u) - c.spot_u[i]) * c.spot_m[i], v1 = v0 + c.spot_m[i];
-        const int top0 = static_cast<int>(clamped(v0, 0.0F, bottom - 1)), top1 = static_cast<int>(clamped(v1, 0.0F, bottom - 1));
-        const bool ok = (c.spot_u[i] >= 0) & (c.spot_u[i] < right) & (v0 >= 0) & (v0 < bottom) & (v1 >= 0) & (v1 < bottom);
+        const int top0 = static_cast<int>(clamped(v0, 0.0F, bottom - 1)),
+                  top1 = static_cast<int>(clamped(v1, 0.0F, bottom - 1));
+        const bool ok =
+            (c.spot_u[i] >= 0) & (c.spot_u[i] < right) & (v0 >= 0) & (v0 < bottom) & (v1 >= 0) & (v1 < bottom);
         c.u[i] = ok ? u : -1;
         c.row[i] = v0;
         c.g0[i] = v0 - static_cast<float>(top0);
@@ -263,8 +107,8 @@ void cross(const OtherView& view, const float* target, int n, Chunk& c) {
     }
 }
 
-/// Cubic B-spline of the 4 x 4 pixels around crossing [begin, end): exact for linear positions, of nearly the same noise
-/// wherever the place lies between the pixels (0.23 of a pixel's variance; bilinear: 0.25 ... 1).
+/// Cubic B-spline of the 4 x 4 pixels around crossing [begin, end): exact for linear positions, of nearly the same
+/// noise wherever the place lies between the pixels (0.23 of a pixel's variance; bilinear: 0.25 ... 1).
 void sample(const OtherView& view, const float* target, int begin, int end, Chunk& c) {
     const int width = view.position_px.width, height = view.position_px.height;
     const auto last_row = static_cast<float>(height - 1);
@@ -287,10 +131,12 @@ void sample(const OtherView& view, const float* target, int begin, int end, Chun
     }
     for (int i = begin; i < end; ++i) {
         const float* corner = view.position_px.data + c.index0[i];
-        const auto line = [&](int j) { return Eigen::Map<const Four>(corner + static_cast<std::ptrdiff_t>(j) * width); };
+        const auto line = [&](int j) {
+            return Eigen::Map<const Four>(corner + static_cast<std::ptrdiff_t>(j) * width);
+        };
         const Four first = line(0), last = line(3), f = spline(c.f[i]);
-        const Four columns = (c.weight[0][i] * first + c.weight[1][i] * line(1)) +
-                             (c.weight[2][i] * line(2) + c.weight[3][i] * last);
+        const Four columns =
+            (c.weight[0][i] * first + c.weight[1][i] * line(1)) + (c.weight[2][i] * line(2) + c.weight[3][i] * last);
         Eigen::Map<Four>(c.along.data() + 4 * i) = f * columns;
         Eigen::Map<Four>(c.across.data() + 4 * i) = f * (last - first);
         c.rise[i] = columns[3] - columns[0];
@@ -311,8 +157,8 @@ void refine(const OtherView& view, const float* target, const float* target_sigm
         // the two columns and rows of the crossing count alone.
         const bool smooth = (slope * linear > 0) & (std::fabs(step) < 1);
         const float f = c.f[i], row0 = c.row[i], row1 = row0 + c.m[i];
-        const float bilinear = (1 - f) * (1 - f) * linear_weight(row0 - std::floor(row0)) +
-                               f * f * linear_weight(row1 - std::floor(row1));
+        const float bilinear =
+            (1 - f) * (1 - f) * linear_weight(row0 - std::floor(row0)) + f * f * linear_weight(row1 - std::floor(row1));
         const float weight = smooth ? spline_weight(f) * spline_weight(c.g0[i]) : bilinear;
         const float move = smooth ? step : 0.0F, own = target_sigma[i], other = c.other_sigma[i];
         c.slope[i] = smooth ? slope : linear;
@@ -325,7 +171,7 @@ void refine(const OtherView& view, const float* target, const float* target_sigm
 /// Solves rows one after the other, each from the one above.
 class Rows {
   public:
-    Rows(const OwnView& own, const OtherView& other, const Eigen::Matrix3d& F, const Search& search,
+    Rows(const OwnView& own, const OtherView& other, const Eigen::Matrix3d& F, const CurveSearch& search,
          const CorrespondResult& out)
         : own_(own),
           other_(other),
@@ -378,8 +224,10 @@ class Rows {
         const Eigen::Matrix3d F = F_;
         const double cu = search_.lens().cu, cv = search_.lens().cv;
         for (int i = 0; i < n; ++i) {
-            const double x = static_cast<double>(begin + i) + shift[2 * i], y = static_cast<double>(v) + shift[2 * i + 1];
-            const double below = -1 / (F(1, 0) * x + F(1, 1) * y + F(1, 2)), m = (F(0, 0) * x + F(0, 1) * y + F(0, 2)) * below;
+            const double x = static_cast<double>(begin + i) + shift[2 * i],
+                         y = static_cast<double>(v) + shift[2 * i + 1];
+            const double below = -1 / (F(1, 0) * x + F(1, 1) * y + F(1, 2)),
+                         m = (F(0, 0) * x + F(0, 1) * y + F(0, 2)) * below;
             chunk_.line_m[i] = static_cast<float>(m);
             chunk_.line_k[i] = static_cast<float>((F(2, 0) * x + F(2, 1) * y + F(2, 2)) * below + m * cu - cv);
         }
@@ -398,7 +246,7 @@ class Rows {
             const float x = relative + trail_shift[i], m = c.line_m[i];
             const Lens::Place at = lens.along(x, m * x + c.line_k[i], 1, m);
             const float step = (relative - at.u) / at.du;
-            const bool good = (std::fabs(step) < kLastStep) & (trail_row[i] >= v - kMaxGap);
+            const bool good = (std::fabs(step) < CurveSearch::kLastStep) & (trail_row[i] >= v - kMaxGap);
             c.spot_u[i] = good ? u : kNaN;
             c.spot_v[i] = at.v + lens.cv + at.dv * step;
             c.spot_m[i] = at.dv / at.du;
@@ -447,7 +295,7 @@ class Rows {
     const OwnView& own_;
     const OtherView& other_;
     const Eigen::Matrix3d& F_;
-    const Search& search_;
+    const CurveSearch& search_;
     const CorrespondResult& out_;
     /// Per column, the last solution: place, position, 1 / slope, shift to the ideal column, and its row.
     std::vector<float> trail_u_, trail_target_, trail_slope_, trail_shift_;
@@ -461,7 +309,7 @@ class Rows {
 
 void correspond(const OwnView& own, const OtherView& other, const Eigen::Matrix3d& F, int threads,
                 const CorrespondResult& out) {
-    const Search search(other, threads);
+    const CurveSearch search(other, threads);
     const int height = own.position_px.height, blocks = (height + kRowsOfBlock - 1) / kRowsOfBlock;
     parallel_for(static_cast<std::size_t>(blocks), threads, [&](std::size_t begin, std::size_t end) {
         for (std::size_t block = begin; block < end; ++block) {

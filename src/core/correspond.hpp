@@ -3,7 +3,7 @@
 #include <Eigen/Core>
 #include <cstdint>
 
-#include "core/camera.hpp"
+#include "core/curve_search.hpp"
 #include "core/image.hpp"
 
 namespace planish {
@@ -12,13 +12,6 @@ namespace planish {
 /// its undistorted place.
 struct OwnView {
     Image<const float> position_px, sigma_px, shift_px;
-};
-
-/// The camera that is searched; `transposed` where its maps have rows and columns exchanged.
-struct OtherView {
-    Image<const float> position_px, sigma_px;
-    Camera camera;
-    bool transposed = false;
 };
 
 struct CorrespondResult {

@@ -37,7 +37,8 @@ void grazing_points(Image<const float> depth, Image<const float> sigma, Image<co
     constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
     const int height = depth.height, width = depth.width;
     // Beyond the image there is no depth, but nothing is unlit either.
-    const std::vector<float> no_depth(static_cast<std::size_t>(width), kNaN), lit(static_cast<std::size_t>(width), 0.0F);
+    const std::vector<float> no_depth(static_cast<std::size_t>(width), kNaN),
+        lit(static_cast<std::size_t>(width), 0.0F);
     const float steepest = limits.max_slope * limits.pixel_size, rim_px = limits.rim_px, sigmas = limits.sigmas;
     parallel_for(static_cast<std::size_t>(height), threads, [&](std::size_t begin, std::size_t end) {
         Framed depths(width, kNaN), positions(width, 0.0F);

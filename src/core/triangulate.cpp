@@ -44,7 +44,8 @@ void undistort(const Lens& lens, const float* u, const float* v, int n, float* x
     }
 }
 
-/// Inverse of the camera matrix without its centre: normalised = (x + skew * y, y) / f of ideal pixels about the centre.
+/// Inverse of the camera matrix without its centre: normalised = (x + skew * y, y) / f of ideal pixels about the
+/// centre.
 struct Inverse {
     float xx, xy, yy;
     explicit Inverse(const Camera& c)

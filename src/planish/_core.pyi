@@ -159,9 +159,7 @@ def correspond(
     F: F64,
     threads: int,
 ) -> tuple[F32, F32]: ...
-def triangulate(
-    own: F64, own_shift: F32, other: F64, pixel: F32, sigma: F32, threads: int
-) -> tuple[F32, F32, F32]: ...
+def triangulate(own: F64, own_shift: F32, other: F64, pixel: F32, sigma: F32, threads: int) -> tuple[F32, F32, F32]: ...
 def projector_residual(
     projector: F64,
     axis: int,

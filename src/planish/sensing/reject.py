@@ -19,7 +19,7 @@ from planish.sensing.triangulate import TriangulatedPoints
 
 #: The lit part of a pixel lies at most so far from its centre [px].
 RIM_PX = 0.5
-#: Every such row and column tells how steep the positions are: ten thousands of differences, of which the median counts.
+#: Every such row and column tells how steep the positions are: of ten thousands of differences the median counts.
 SLOPE_ROWS = 32
 
 
@@ -115,17 +115,13 @@ def reject_points(
         depth, found.sigma_mm, phase.position_px, pixel_size, steepest, RIM_PX, options.rim_sigmas, threads
     )
     per_pixel = float(np.tan(np.radians(options.max_tilt_deg)) * pixel_size)
-    small = _core.islands(
-        depth, found.sigma_mm, grazing, per_pixel, options.sigmas, options.min_island_pixels, threads
-    )
+    small = _core.islands(depth, found.sigma_mm, grazing, per_pixel, options.sigmas, options.min_island_pixels, threads)
     for pixels, reason in ((grazing, "edge"), (small, "isolated")):
         rejected |= pixels * np.uint16(1 << REJECTIONS.index(reason))
     return rejected
 
 
-def drop_points(
-    found: TriangulatedPoints, pairs: Correspondences, rejected: NDArray[np.uint16], threads: int
-) -> None:
+def drop_points(found: TriangulatedPoints, pairs: Correspondences, rejected: NDArray[np.uint16], threads: int) -> None:
     """Set points, standard deviations and correspondences to NaN, in place, where `rejected` (H, W) is not 0."""
     for values in (found.points_sensor, found.sigma_mm, pairs.pixel_px):
         _core.drop_rejected(rejected, values, threads)
