@@ -32,7 +32,7 @@ struct CheckedPoints {
 void check_points(const CheckedPoints& points, const CheckLimits& limits, const CheckReasons& reasons, int threads,
                   Image<std::uint16_t> rejected, Image<float> depth_mm);
 
-/// Sets the values of all rejected pixels to NaN.
+/// Sets the values (one to three channels) of all rejected pixels to NaN.
 void drop_rejected(Image<const std::uint16_t> rejected, int threads, Image<float> values);
 
 }  // namespace planish

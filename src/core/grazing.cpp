@@ -30,6 +30,20 @@ class Framed {
     std::vector<float> values_;
 };
 
+/// Depth (framed) and rows around it, positions (framed) and rows around them. By value: see check_points.cpp.
+void mark_row(const float* z, const float* above, const float* below, const float* sigma, const float* x,
+              const float* x_above, const float* x_below, GrazingLimits limits, int n, std::uint8_t* mark) {
+    const float steepest = limits.max_slope * limits.pixel_size, rim_px = limits.rim_px, sigmas = limits.sigmas;
+    for (int u = 0; u < n; ++u) {
+        const float along = slope(z[u - 1], z[u], z[u + 1]), down = slope(above[u], z[u], below[u]);
+        const float change = std::sqrt(along * along + down * down);
+        // NaN if any of the four neighbours is unlit.
+        const float rim = (x[u - 1] + x[u + 1]) + (x_above[u] + x_below[u]);
+        const bool steep = change > steepest * z[u], cut = (rim != rim) & (rim_px * change > sigmas * sigma[u]);
+        mark[u] = ((z[u] == z[u]) & (steep | cut)) ? 1 : 0;
+    }
+}
+
 }  // namespace
 
 void grazing_points(Image<const float> depth, Image<const float> sigma, Image<const float> position,
@@ -39,7 +53,6 @@ void grazing_points(Image<const float> depth, Image<const float> sigma, Image<co
     // Beyond the image there is no depth, but nothing is unlit either.
     const std::vector<float> no_depth(static_cast<std::size_t>(width), kNaN),
         lit(static_cast<std::size_t>(width), 0.0F);
-    const float steepest = limits.max_slope * limits.pixel_size, rim_px = limits.rim_px, sigmas = limits.sigmas;
     parallel_for(static_cast<std::size_t>(height), threads, [&](std::size_t begin, std::size_t end) {
         Framed depths(width, kNaN), positions(width, 0.0F);
         for (int v = static_cast<int>(begin); v < static_cast<int>(end); ++v) {
@@ -49,14 +62,7 @@ void grazing_points(Image<const float> depth, Image<const float> sigma, Image<co
             const float *x_above = v > 0 ? position.row(v - 1) : lit.data(),
                         *x_below = v + 1 < height ? position.row(v + 1) : lit.data();
             std::uint8_t* mark = grazing.row(v);
-            for (int u = 0; u < width; ++u) {
-                const float along = slope(z[u - 1], z[u], z[u + 1]), down = slope(above[u], z[u], below[u]);
-                const float change = std::sqrt(along * along + down * down);
-                // NaN if any of the four neighbours is unlit.
-                const float rim = (x[u - 1] + x[u + 1]) + (x_above[u] + x_below[u]);
-                const bool steep = change > steepest * z[u], cut = (rim != rim) & (rim_px * change > sigmas * s[u]);
-                mark[u] = ((z[u] == z[u]) & (steep | cut)) ? 1 : 0;
-            }
+            mark_row(z, above, below, s, x, x_above, x_below, limits, width, mark);
         }
     });
 }

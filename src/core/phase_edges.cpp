@@ -28,6 +28,19 @@ void find_jumps(const float* a, const float* b, const float* c, const float* d, 
     }
 }
 
+/// Adds to the jumps above a row those below it and those on either side (`along`: one before the first pixel).
+void join_marks(const std::int32_t* below, const std::int32_t* along, int n, std::int32_t* edge) {
+    for (int u = 0; u < n; ++u) edge[u] |= below[u] | along[u] | along[u + 1];
+}
+
+void drop(const std::int32_t* edge, const float* values, int n, float* out) {
+    for (int u = 0; u < n; ++u) out[u] = edge[u] == 0 ? values[u] : kNaN;
+}
+
+void reject(const std::int32_t* edge, const std::uint16_t* rejected, std::int32_t reason, int n, std::uint16_t* out) {
+    for (int u = 0; u < n; ++u) out[u] = static_cast<std::uint16_t>(rejected[u] | (edge[u] != 0 ? reason : 0));
+}
+
 }  // namespace
 
 void phase_edges(const PhaseMaps& maps, float jump, float sigmas, std::uint16_t reason, int threads,
@@ -53,19 +66,10 @@ void phase_edges(const PhaseMaps& maps, float jump, float sigmas, std::uint16_t 
             std::copy_n(position, width, line.begin() + 3);
             const float* p = line.data() + 3;
             find_jumps(p - 2, p - 1, p, p + 1, p + 2, p + 3, sigma, jump, sigmas, width, along.data() + 1);
-            const std::uint16_t* rejected = maps.rejected.row(v);
-            float *new_position = out.position_px.row(v), *new_sigma = out.sigma_px.row(v);
-            std::uint16_t* new_rejected = out.rejected.row(v);
-            const std::int32_t *l = along.data(), *r = along.data() + 1;
-            std::int32_t* edge = up.data();
-            for (int u = 0; u < width; ++u) edge[u] |= down[u] | l[u] | r[u];
-            for (int u = 0; u < width; ++u) {
-                new_position[u] = edge[u] == 0 ? position[u] : kNaN;
-                new_sigma[u] = edge[u] == 0 ? sigma[u] : kNaN;
-            }
-            const std::int32_t bit = reason;
-            for (int u = 0; u < width; ++u)
-                new_rejected[u] = static_cast<std::uint16_t>(rejected[u] | (edge[u] != 0 ? bit : 0));
+            join_marks(down.data(), along.data(), width, up.data());
+            drop(up.data(), position, width, out.position_px.row(v));
+            drop(up.data(), sigma, width, out.sigma_px.row(v));
+            reject(up.data(), maps.rejected.row(v), reason, width, out.rejected.row(v));
         }
     });
 }
