@@ -18,6 +18,7 @@ constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr int kMaxGap = 8;
 /// Rows that follow each other's solutions; fixed, so that the result does not depend on the number of threads.
 constexpr int kRowsOfBlock = 64;
+
 using Four = Eigen::Array4f;
 
 /// Weights of the cubic B-spline for four nodes at -1, 0, 1, 2 and a place f in [0, 1].
@@ -309,6 +310,12 @@ class Rows {
 
 void correspond(const OwnView& own, const OtherView& other, const Eigen::Matrix3d& F, int threads,
                 const CorrespondResult& out) {
+    if (std::min(other.position_px.width, other.position_px.height) < 4) {
+        // Less than the spline spans.
+        std::fill_n(out.pixel_px.data, 2 * out.pixel_px.pixels(), kNaN);
+        std::fill_n(out.sigma_px.data, out.sigma_px.pixels(), kNaN);
+        return;
+    }
     const CurveSearch search(other, threads);
     const int height = own.position_px.height, blocks = (height + kRowsOfBlock - 1) / kRowsOfBlock;
     parallel_for(static_cast<std::size_t>(blocks), threads, [&](std::size_t begin, std::size_t end) {
