@@ -107,6 +107,17 @@ def grazing(depth, sigma, lit, pixel_size, max_slope, rim_px, sigmas):
     return np.isfinite(depth) & (steep | (rim & (rim_px * change > sigmas * sigma)))
 
 
+def reasons_of_points(points, miss, residual, spread, rejected, low, high, limits, bits):
+    """Bit mask (H, W) of what a point alone gives: no point, outside the box, rays that contradict each other."""
+    max_miss, projector_px, sigmas = limits
+    unmatched, outside, mismatch = bits
+    valid = np.isfinite(points[..., 2])
+    inside = ((points >= low) & (points <= high)).all(-1)
+    result = rejected + unmatched * (~valid & (rejected == 0))
+    result |= outside * (valid & ~inside)
+    return result | mismatch * ((np.abs(miss) > max_miss) | (np.abs(residual) > projector_px + sigmas * spread))
+
+
 def edges_of_row(p, limit):
     """Pixels beside a jump of one line: a difference that fewer than two of its four neighbours resemble."""
     d = np.diff(p)

@@ -20,7 +20,7 @@ from planish.sensing.correspond import correspond
 from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.images import GreyImage
 from planish.sensing.observe import Observation, observe, with_phases
-from planish.sensing.reject import RejectOptions, reject_edges, reject_points
+from planish.sensing.reject import RejectOptions, drop_points, reject_edges, reject_points
 from planish.sensing.sequence import Layout, read_layouts
 from planish.sensing.triangulate import triangulate
 
@@ -77,9 +77,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
     rejected = reject_points(
         found, phase, rig.cameras[own], rig.projector, capture.manifest.volume_mm, options.reject, threads
     )
-    invalid = rejected != 0
-    for array in (found.points_sensor, found.sigma_mm, pairs.pixel_px):
-        array[invalid] = np.nan
+    drop_points(found, pairs, rejected, threads)
     return Measurement(
         name=capture.name,
         organised_on=own,
