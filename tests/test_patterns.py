@@ -5,7 +5,7 @@ from planish.errors import InputError
 from planish.sensing.entries import Black, Gray, Phase, White
 from planish.sensing.patterns import (
     encode,
-    gray_sequence,
+    gray_phase_sequence,
     named_sequence,
     phase_steps,
     projector_image,
@@ -76,7 +76,7 @@ def test_the_reference_sequence_has_twelve_fringe_images_white_and_black():
 
 
 def test_the_gray_sequence_tells_all_periods_apart():
-    entries = [e for e in gray_sequence((1280, 800), 20.0) if isinstance(e, Gray)]
+    entries = [e for e in gray_phase_sequence((1280, 800), period_px=20.0) if isinstance(e, Gray)]
     words = np.array([projector_profile(e, (1280, 800)) for e in entries]).T
     assert len(np.unique(words, axis=0)) == 128
 
@@ -90,5 +90,5 @@ def test_an_entry_along_v_varies_over_the_rows():
 
 
 def test_an_unknown_sequence_is_refused_with_the_known_ones():
-    with pytest.raises(InputError, match="reference, gray"):
+    with pytest.raises(InputError, match="reference, phase-shift"):
         named_sequence("rainbow")

@@ -40,8 +40,8 @@ def test_simulate_writes_captures_that_can_be_loaded_and_their_truth(monkeypatch
             assert written["seen"].shape == expected.shape[:2]
 
 
-def test_simulate_writes_the_gray_sequence_in_sixteen_bit_without_points(monkeypatch, tmp_path):
-    arguments = ("--captures", 1, "--width-scale", 0.1, "--sequence", "gray", "--bits", 16, "--no-true-points")
+def test_simulate_writes_fringes_and_gray_code_in_sixteen_bit_without_points(monkeypatch, tmp_path):
+    arguments = ("--captures", 1, "--width-scale", 0.1, "--sequence", "gray-phase", "--bits", 16, "--no-true-points")
     assert run(monkeypatch, "plate", "--out", tmp_path, *arguments) == 0
     capture = Capture.load(tmp_path / "m1")
     assert [entry.role for entry in capture.manifest.sequence].count("gray") == 7
@@ -54,7 +54,7 @@ def test_simulate_writes_the_gray_sequence_in_sixteen_bit_without_points(monkeyp
     [
         (("spoon",), "one of door, plate"),
         (("door", "--captures", 0), "captures: found 0"),
-        (("door", "--sequence", "rainbow"), "one of reference, gray"),
+        (("door", "--sequence", "rainbow"), "one of reference, phase-shift"),
         (("door", "--bits", 12), "8 or 16"),
         (("door", "--exposure", -1), "exposure"),
         (("door", "--threads", 0), "threads: found 0"),
