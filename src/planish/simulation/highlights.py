@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from planish.errors import InputError
 from planish.sensing.entries import White
 from planish.simulation.render import render_capture
@@ -14,8 +12,8 @@ from planish.simulation.sensor import reference_rig
 
 #: Microfacet roughness of the highlights: machined metal.
 ROUGHNESS = 0.12
-#: The strength is found in white images of this resolution, by so many bisections up to MAX_STRENGTH.
-SCALE, BISECTIONS, MAX_STRENGTH = 0.125, 14, 30.0
+#: The strength is found in white images of this resolution, by so many bisections of its logarithm between these.
+SCALE, BISECTIONS, WEAKEST, STRONGEST = 0.08, 10, 1e-3, 30.0
 
 
 def with_highlights(scene: Scene, share: float, threads: int | None = None) -> Scene:
@@ -30,7 +28,7 @@ def with_highlights(scene: Scene, share: float, threads: int | None = None) -> S
         raise InputError("highlights", f"found {share:g}", "a share of the pixels above 0 and below 0.5")
     coarse = replace(
         scene, sequence=(White(role="white"),), rig=reference_rig(SCALE), background=None,
-        sensor=replace(scene.sensor, bits=8, samples_per_px=4),
+        sensor=replace(scene.sensor, bits=8, samples_per_px=2),
     )  # fmt: skip
 
     def shiny(item: Scene, strength: float) -> Scene:
@@ -40,10 +38,10 @@ def with_highlights(scene: Scene, share: float, threads: int | None = None) -> S
         image = render_capture(shiny(coarse, strength), 0, threads)["A"][0]
         return float((image >= min(scene.sensor.saturation, 255)).sum() / (image > 0.15 * 255).sum())
 
-    low, high = 0.0, MAX_STRENGTH
+    low, high = WEAKEST, STRONGEST
     if not saturated(low) < share <= saturated(high):
         raise InputError("highlights", f"no shininess saturates {share:.0%} of '{scene.part}'", "another share")
     for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
+        middle = (low * high) ** 0.5
         low, high = (low, middle) if saturated(middle) >= share else (middle, high)
-    return shiny(scene, float(np.round(high, 4)))
+    return shiny(scene, high)
