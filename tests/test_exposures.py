@@ -93,7 +93,7 @@ def views(light, gain=4.0, black=5.0, noise=(1.5, 0.025), seed=5):
 
 
 def test_the_texture_is_on_the_scale_of_the_longest_exposure_without_a_step_where_it_saturates():
-    light = np.tile(np.linspace(20, 800, 400), (120, 1))
+    light = np.tile(np.linspace(20, 800, 400), (480, 1))
     long, short = views(light)
     clipped = light + 5 > 245
     merged = merge_views([long, short], [clipped, np.zeros_like(clipped)], [20.0, 5.0])
@@ -101,8 +101,8 @@ def test_the_texture_is_on_the_scale_of_the_longest_exposure_without_a_step_wher
     for name, expected in (("mean", 5 + 0.5 * light), ("white", light), ("modulation", 0.5 * light)):
         error = getattr(merged, name) - expected
         below, above = (error[:, columns].mean() for columns in (slice(90, 110), slice(130, 150)))
-        # The ratio of the exposures and the black level come from thousands of pixels.
-        assert abs(above - below) < 0.15
+        # The ratio of the exposures is known to 3 % per pixel of the short one, here from 14,000: 0.03 % of 270.
+        assert abs(above - below) < 0.3
 
 
 def test_the_noise_of_the_merged_texture_is_that_of_its_model_within_the_stated_approximation():

@@ -29,6 +29,8 @@ SATURATION_SIGMAS = 4.0
 MIN_SHARED, MIN_MODULATION = 400, 0.1
 #: Bins of grey level to which the noise of the merged texture is fitted.
 LEVELS = 32
+#: Every so many rows and columns tell the scales of the exposures and the noise of the merged texture.
+STRIDE = 2
 
 
 def split_exposures(capture: Capture) -> tuple[tuple[float, Capture], ...]:
@@ -116,11 +118,11 @@ def merge_positions(maps: Sequence[PhaseMap]) -> PhaseMap:
     found = weight > 0
     total = np.where(found, weight, np.float32(1))
     nothing = np.float32(np.nan)
-    return PhaseMap(
-        maps[0].axis,
-        np.where(found, start + shift / total, nothing),
-        np.where(found, 1 / np.sqrt(total), nothing),
-        np.where(found, np.uint16(0), _furthest([m.rejected for m in maps])),
+    return replace(
+        maps[0],
+        position_px=np.where(found, start + shift / total, nothing),
+        sigma_px=np.where(found, 1 / np.sqrt(total), nothing),
+        rejected=np.where(found, np.uint16(0), _furthest([m.rejected for m in maps])),
     )
 
 
@@ -175,7 +177,7 @@ def merge_views(views: Sequence[View], saturated: Sequence[Mask], exposures_ms: 
     """
     scales = [_Scale(1.0, 0.0, 0.0)]
     for k in range(1, len(views)):
-        shared = ~saturated[k - 1] & ~saturated[k]
+        shared = (~saturated[k - 1] & ~saturated[k])[::STRIDE, ::STRIDE]
         scales.append(_onto(scales[-1], views[k - 1], views[k], shared, exposures_ms[k - 1] / exposures_ms[k]))
     weights: list[Map] = []
     for k, (view, scale) in enumerate(zip(views, scales, strict=True)):
@@ -183,15 +185,18 @@ def merge_views(views: Sequence[View], saturated: Sequence[Mask], exposures_ms: 
         assert level is not None
         own = np.float32(max(view.mean_images, 1) / scale.gain**2) / view.noise.variance(level)
         weights.append(np.where(saturated[k], np.float32(0), own))
-    precision = np.sum(weights, axis=0)
-    nowhere = precision == 0
+    nowhere = np.logical_and.reduce(saturated)
     weights[-1][nowhere] = 1
-    mean = _combine([v.mean for v in views], weights, [(s.gain, s.mean_offset) for s in scales])
-    white = _combine([v.white for v in views], weights, [(s.gain, s.white_offset) for s in scales])
-    modulation = _combine([v.modulation for v in views], weights, [(s.gain, 0.0) for s in scales])
+    total = np.sum(weights, axis=0, dtype=np.float32)
+    shares = [w / total for w in weights]
+    mean = _combine([v.mean for v in views], shares, [(s.gain, s.mean_offset) for s in scales])
+    white = _combine([v.white for v in views], shares, [(s.gain, s.white_offset) for s in scales])
+    modulation = _combine([v.modulation for v in views], shares, [(s.gain, 0.0) for s in scales])
     level = mean if mean is not None else white
     assert level is not None
-    noise = _fit_noise(level[~nowhere], views[0].mean_images / precision[~nowhere], views[0].noise)
+    known = ~nowhere[::STRIDE, ::STRIDE]
+    precision = np.sum([w[::STRIDE, ::STRIDE][known] for w in weights], axis=0)
+    noise = _fit_noise(level[::STRIDE, ::STRIDE][known], views[0].mean_images / precision, views[0].noise)
     last = scales[-1]
     return View(
         white, mean, modulation, views[0].mean_images, noise, views[-1].saturation * last.gain + last.mean_offset
@@ -206,15 +211,16 @@ def _onto(longer_scale: _Scale, longer: View, shorter: View, shared: Mask, nomin
     """
     gain = nominal
     if longer.modulation is not None and shorter.modulation is not None:
-        bright = shared & (longer.modulation > MIN_MODULATION * longer.saturation)
+        a, b = (m[::STRIDE, ::STRIDE] for m in (longer.modulation, shorter.modulation))
+        bright = shared & (a > MIN_MODULATION * longer.saturation)
         if np.count_nonzero(bright) >= MIN_SHARED:
-            gain = float(np.median(longer.modulation[bright] / shorter.modulation[bright]))
+            gain = float(np.median(a[bright] / b[bright]))
     offsets = []
-    for a, b in ((longer.mean, shorter.mean), (longer.white, shorter.white)):
-        if a is None or b is None or np.count_nonzero(shared) < MIN_SHARED:
+    for long, short in ((longer.mean, shorter.mean), (longer.white, shorter.white)):
+        if long is None or short is None or np.count_nonzero(shared) < MIN_SHARED:
             offsets.append(0.0)
         else:
-            offsets.append(float(np.median(a[shared] - gain * b[shared])))
+            offsets.append(float(np.median((long[::STRIDE, ::STRIDE] - gain * short[::STRIDE, ::STRIDE])[shared])))
     return _Scale(
         longer_scale.gain * gain,
         longer_scale.gain * offsets[0] + longer_scale.mean_offset,
@@ -222,22 +228,21 @@ def _onto(longer_scale: _Scale, longer: View, shorter: View, shared: Mask, nomin
     )
 
 
-def _combine(maps: Sequence[Map | None], weights: Sequence[Map], scales: Sequence[tuple[float, float]]) -> Map | None:
-    total, weight = np.zeros_like(weights[0]), np.zeros_like(weights[0])
-    for values, w, (gain, offset) in zip(maps, weights, scales, strict=True):
+def _combine(maps: Sequence[Map | None], shares: Sequence[Map], scales: Sequence[tuple[float, float]]) -> Map | None:
+    total: Map = np.zeros_like(shares[0])
+    for values, w, (gain, offset) in zip(maps, shares, scales, strict=True):
         if values is None:
             return None
         total += np.where(w > 0, w * (np.float32(gain) * values + np.float32(offset)), np.float32(0))
-        weight += w
-    return np.asarray(total / weight, np.float32)
+    return total
 
 
 def _fit_noise(level: Map, variance: Map, longest: NoiseModel) -> NoiseModel:
     """Return offset and slope of the variances (n,) of pixels with these levels (n,), fitted to relative errors."""
     if level.size < MIN_SHARED:
         return longest
-    edges = np.linspace(float(level.min()), float(level.max()) + 1e-3, LEVELS + 1)
-    members = np.digitize(level, edges[1:-1])
+    low, high = float(level.min()), float(level.max()) + 1e-3
+    members = ((level - low) * (LEVELS / (high - low))).astype(np.int64).clip(0, LEVELS - 1)
     count = np.bincount(members, minlength=LEVELS)
     full = count > 0
     x, y = (np.bincount(members, values, LEVELS)[full] / count[full] for values in (level, variance))
