@@ -136,7 +136,7 @@ def test_both_axes_are_encoded_one_after_the_other(name):
     assert both[:-2] == single[0] + single[1]
 
 
-@given(name=st.sampled_from(sorted(SEQUENCES)), size=st.tuples(st.integers(64, 1280), st.integers(64, 1280)))
+@given(name=st.sampled_from(sorted(SEQUENCES)), size=st.tuples(st.integers(240, 1280), st.integers(240, 1280)))
 def test_every_pattern_is_in_range_at_any_coordinate(name, size):
     for entry in named_sequence(name, size):
         value = encode(entry, np.linspace(-3, max(size) + 3, 301))

@@ -169,8 +169,8 @@ def heterodyne_sequence(
     axes : sequence of "u", "v"
         Encoded axes.
     period_px : float or None
-        Finest period, about: it is fitted to the projector. None = 20 px with three periods, 64 px with two, whose
-        noise multiplies by the number of fringes.
+        Finest period, about: it is fitted to the projector. None = 30 px with three periods, 64 px with two, whose
+        noise multiplies by the number of fringes (with three by its root).
     count : int
         2 or 3 periods.
     steps, sign : int
@@ -187,7 +187,7 @@ def heterodyne_sequence(
     entries: list[Entry] = []
     for axis, extent in _extents(projector_px, axes):
         if periods_px is None:
-            periods = _optimum_periods(extent, period_px or (20.0 if count == 3 else 64.0), count)
+            periods = _optimum_periods(extent, period_px or (30.0 if count == 3 else 64.0), count)
         else:
             periods = sorted(set(periods_px), reverse=True)
         beats = [a * b / (a - b) for a, b in itertools.combinations(periods, 2)]
