@@ -18,10 +18,11 @@ from planish.rig import Rig
 from planish.sensing.capture import Capture, ImageReader
 from planish.sensing.correspond import correspond
 from planish.sensing.decode import DecodeOptions, PhaseMap
+from planish.sensing.exposures import merge_exposures, split_exposures
 from planish.sensing.images import GreyImage
 from planish.sensing.observe import Observation, observe, with_phases
 from planish.sensing.reject import RejectOptions, drop_points, reject_edges, reject_points
-from planish.sensing.sequence import Layout, read_layouts
+from planish.sensing.sequence import read_layouts
 from planish.sensing.triangulate import triangulate
 
 
@@ -69,7 +70,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
     layouts = read_layouts(
         capture.manifest, str(capture.path), None if rig.projector is None else rig.projector.size_px
     )
-    seen = _observe(capture, rig, (own, other), layouts[0], options, threads)
+    seen = _observe(capture, rig, (own, other), options, threads)
     axis = layouts[0].codes[0].axis
     phase = seen[own].phases[axis]
     pairs = correspond(phase, seen[other].phases[axis], rig.cameras[own], rig.cameras[other], threads)
@@ -94,10 +95,27 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
 
 
 def _observe(
-    capture: Capture, rig: Rig, cameras: tuple[str, ...], layout: Layout, options: MeasureOptions, threads: int
+    capture: Capture, rig: Rig, cameras: tuple[str, ...], options: MeasureOptions, threads: int
 ) -> Mapping[str, Observation]:
     masks = {name: capture.read_mask(name) for name in cameras}
+    # One exposure's images at a time are in memory.
+    parts = split_exposures(capture)
+    each = [_observe_exposure(part, rig, cameras, options, threads) for _, part in parts]
+    times = [exposure for exposure, _ in parts]
+    seen = {name: merge_exposures([item[name] for item in each], times) for name in cameras}
+    for name, mask in masks.items():
+        if mask is not None:
+            _require_size(mask, f"{capture.path}: mask.{name}", name, rig.cameras[name].size_px)
+            seen[name] = with_phases(seen[name], partial(PhaseMap.without, pixels=~mask, reason="masked"))
+    cut = partial(reject_edges, options=options.reject, threads=threads)
+    return {name: with_phases(item, cut) for name, item in seen.items()}
 
+
+def _observe_exposure(
+    capture: Capture, rig: Rig, cameras: tuple[str, ...], options: MeasureOptions, threads: int
+) -> Mapping[str, Observation]:
+    projector_px = None if rig.projector is None else rig.projector.size_px
+    (layout,) = read_layouts(capture.manifest, str(capture.path), projector_px)
     with ImageReader(capture, cameras, threads) as reader:
 
         def take(name: str) -> list[GreyImage]:
@@ -105,13 +123,7 @@ def _observe(
             _require_size(images[0], capture.image_path(name, 0), name, rig.cameras[name].size_px)
             return images
 
-        seen = observe(take, cameras, layout, options.decode, str(capture.path), threads)
-    for name, mask in masks.items():
-        if mask is not None:
-            _require_size(mask, f"{capture.path}: mask.{name}", name, rig.cameras[name].size_px)
-            seen[name] = with_phases(seen[name], partial(PhaseMap.without, pixels=~mask, reason="masked"))
-    cut = partial(reject_edges, options=options.reject, threads=threads)
-    return {name: with_phases(item, cut) for name, item in seen.items()}
+        return observe(take, cameras, layout, options.decode, str(capture.path), threads)
 
 
 def _require_size(

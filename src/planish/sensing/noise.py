@@ -125,8 +125,9 @@ def _sample(
             grey = images[index][np.minimum(starts + row, height - 1)].astype(np.float32)
             contrast += np.float32(w * share / np.sqrt(6)) * grey
             np.maximum(brightest, grey, out=brightest)
-            # The grey level that the variance of the residual belongs to: each pixel by its share of it.
-            level += np.float32(share**2 / 6 / len(indices)) * grey
+            # The grey level that the variance of the residual belongs to: each grey value by its share of it. (With an
+            # odd number of steps the weights differ, and the mean of all steps is not it.)
+            level += np.float32(share**2 / 6 * w**2) * grey
     if np.all(weight > 0):
         # Such a contrast is the image itself, and its own noise must not choose its bin: the pixels beside it do.
         level = 0.5 * (np.roll(level, 1, axis=1) + np.roll(level, -1, axis=1))
