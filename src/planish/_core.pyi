@@ -169,6 +169,19 @@ def projector_residual(
     position_sigma: F32,
     threads: int,
 ) -> tuple[F32, F32]: ...
+def intersect(
+    own: F64,
+    own_shift: F32,
+    projector: F64,
+    width: int,
+    height: int,
+    position_u: F32,
+    sigma_u: F32,
+    position_v: F32,
+    sigma_v: F32,
+    primary: int,
+    threads: int,
+) -> tuple[F32, F32, F32, F32]: ...
 def grazing_points(
     depth: F32,
     sigma: F32,
