@@ -18,6 +18,7 @@
 #include "core/correspond.hpp"
 #include "core/decode_gray.hpp"
 #include "core/decode_phase.hpp"
+#include "core/gray_edges.hpp"
 #include "core/grazing.hpp"
 #include "core/image.hpp"
 #include "core/intersect.hpp"
@@ -141,6 +142,35 @@ AnyOut<float> decode_gray(const std::vector<AnyImage>& images, const std::vector
     else
         planish::decode_gray(make_bits<std::uint16_t>(images, inverse), limit, threads, out);
     return cell;
+}
+
+template <class T>
+void gray_edges(const std::vector<AnyImage>& images, const std::vector<int>& inverse, int white, int black,
+                const planish::GrayEdgeSettings& settings, int threads, const planish::GrayEdgeResult& out) {
+    const auto single = [&](int index) { return index < 0 ? nullptr : static_cast<const T*>(images[index].data()); };
+    planish::gray_edges(make_bits<T>(images, inverse), single(white), single(black), settings, threads, out);
+}
+
+nb::tuple gray_edges(const std::vector<AnyImage>& images, const std::vector<int>& inverse, int white, int black,
+                     float cell_px, float saturation, float noise_offset, float noise_slope, float max_signal_sigma,
+                     float edge_bias_px, int threads) {
+    const bool narrow = is_8_bit(images);
+    const std::size_t h = images[0].shape(0), w = images[0].shape(1);
+    auto position = make_array<float>({h, w}), sigma = make_array<float>({h, w}), mean = make_array<float>({h, w}),
+         modulation = make_array<float>({h, w});
+    auto rejected = make_array<std::uint16_t>({h, w});
+    const planish::GrayEdgeSettings settings{cell_px,     saturation,       noise_offset,
+                                             noise_slope, max_signal_sigma, edge_bias_px};
+    const planish::GrayEdgeResult out{view_of(position), view_of(sigma), view_of(mean), view_of(modulation),
+                                      view_of(rejected)};
+    {
+        nb::gil_scoped_release release;
+        if (narrow)
+            gray_edges<std::uint8_t>(images, inverse, white, black, settings, threads, out);
+        else
+            gray_edges<std::uint16_t>(images, inverse, white, black, settings, threads, out);
+    }
+    return nb::make_tuple(position, sigma, mean, modulation, rejected);
 }
 
 AnyOut<float> undistortion_shifts(const AnyIn<double>& camera, int height, int width, int threads) {
@@ -271,6 +301,8 @@ AnyOut<std::uint8_t> islands(const AnyIn<float>& depth, const AnyIn<float>& sigm
 void bind_sensing(nb::module_& m) {
     m.def("decode_phase", &decode_phase);
     m.def("decode_gray", &decode_gray);
+    m.def("gray_edges", static_cast<nb::tuple (*)(const std::vector<AnyImage>&, const std::vector<int>&, int, int,
+                                                  float, float, float, float, float, float, int)>(&gray_edges));
     m.def("undistortion_shifts", &undistortion_shifts);
     m.def("repair_periods", &repair_periods);
     m.def("phase_edges", &phase_edges);

@@ -141,6 +141,19 @@ def decode_phase(
     threads: int,
 ) -> tuple[F32, F32, F32, F32, U16]: ...
 def decode_gray(images: Sequence[NDArray[Any]], inverse: Sequence[int], threshold: F32, threads: int) -> F32: ...
+def gray_edges(
+    images: Sequence[NDArray[Any]],
+    inverse: Sequence[int],
+    white: int,
+    black: int,
+    cell_px: float,
+    saturation: float,
+    noise_offset: float,
+    noise_slope: float,
+    max_signal_sigma: float,
+    edge_bias_px: float,
+    threads: int,
+) -> tuple[F32, F32, F32, F32, U16]: ...
 def undistortion_shifts(camera: F64, height: int, width: int, threads: int) -> F32: ...
 def repair_periods(
     position: F32, sigma: F32, rejected: U16, period_px: float, tolerance_px: float, sigmas: float, threads: int

@@ -90,7 +90,8 @@ def correspond(
     width, height = own_camera.size_px
     line = F @ [0.5 * width, 0.5 * height, 1.0]
     steep = abs(line[0]) > abs(line[1])
-    position, sigma = other.position_px, other.sigma_px
+    # The other camera is read as a local mean.
+    position, sigma = other.position_px, other.sigma_px * np.float32(other.local_mean_gain)
     shifts = undistortion_shifts(other_camera, threads)
     if steep:
         position, sigma = np.ascontiguousarray(position.T), np.ascontiguousarray(sigma.T)

@@ -87,10 +87,27 @@ def _contrasts(layout: Layout) -> list[tuple[tuple[int, ...], Array]]:
         a, b = layout.periods[0].images, layout.periods[1].images
         weight = np.concatenate([np.full(len(a), 1 / len(a)), np.full(len(b), -1 / len(b))])
         found.append((a + b, weight / np.linalg.norm(weight)))
-    if not found:
+    if not found and layout.periods:
         n = len(layout.periods[0].images)
         found.append((layout.periods[0].images, np.full(n, n**-0.5)))
-    return found
+    return found or _contrasts_without_fringes(layout)
+
+
+def _contrasts_without_fringes(layout: Layout) -> list[tuple[tuple[int, ...], Array]]:
+    # A Gray pattern and its inverse add up to the same light, whichever bit it is.
+    pairs = [
+        pair
+        for code in layout.codes
+        if code.gray is not None
+        for pair in zip(code.gray.images, code.gray.inverse, strict=True)
+        if pair[1] >= 0
+    ]
+    if len(pairs) > 1:
+        weight = np.array([0.5, 0.5, -0.5, -0.5])
+        return [(a + b, weight) for a, b in itertools.pairwise(pairs)]
+    # One image alone bounds the noise from above: its texture cannot be told from noise.
+    shown = (*layout.white, *layout.statistical, *(code.gray.images[0] for code in layout.codes if code.gray))
+    return [((shown[0],), np.ones(1))]
 
 
 def _sample(

@@ -12,6 +12,7 @@ from planish.measurement import Finding, Map, NoiseModel, View
 from planish.sensing.decode import DecodeOptions, PhaseMap, decode
 from planish.sensing.decode.average import mean_image
 from planish.sensing.decode.gray import gray_offset, gray_positions
+from planish.sensing.decode.gray_edges import decode_gray_edges
 from planish.sensing.entries import Axis
 from planish.sensing.images import GreyImage
 from planish.sensing.noise import estimate_noise, full_scale
@@ -45,6 +46,7 @@ class _Stack:
     saturation: float
     noise: NoiseModel
     gray: dict[Axis, Map]
+    subject: str
 
 
 def observe(
@@ -75,16 +77,26 @@ def observe(
     workers = min(threads, len(cameras))
     own = max(1, threads // workers)
     with ThreadPoolExecutor(workers) as pool:
-        stacks = dict(zip(cameras, pool.map(lambda name: _stack(take(name), layout, own), cameras), strict=True))
+        stacks = dict(
+            zip(
+                cameras,
+                pool.map(lambda name: _stack(take(name), layout, f"{subject}: camera {name}", own), cameras),
+                strict=True,
+            )
+        )
         offsets = _gray_offsets(stacks, layout, subject)
         found = pool.map(lambda name: _observe(stacks[name], layout, offsets, options, own), cameras)
         return dict(zip(cameras, found, strict=True))
 
 
-def _stack(images: Sequence[GreyImage], layout: Layout, threads: int) -> _Stack:
+def _stack(images: Sequence[GreyImage], layout: Layout, subject: str, threads: int) -> _Stack:
     saturation = full_scale(images)
-    gray = {code.axis: gray_positions(images, code, layout, threads) for code in layout.codes if code.gray is not None}
-    return _Stack(images, saturation, estimate_noise(images, layout, saturation), gray)
+    gray = {
+        code.axis: gray_positions(images, code, layout, threads)
+        for code in layout.codes
+        if code.gray is not None and code.periods
+    }
+    return _Stack(images, saturation, estimate_noise(images, layout, saturation), gray, subject)
 
 
 def _gray_offsets(stacks: Mapping[str, _Stack], layout: Layout, subject: str) -> dict[Axis, float]:
@@ -92,7 +104,7 @@ def _gray_offsets(stacks: Mapping[str, _Stack], layout: Layout, subject: str) ->
     return {
         code.axis: gray_offset([(stack.images, stack.gray[code.axis]) for stack in stacks.values()], code, subject)
         for code in layout.codes
-        if code.gray is not None
+        if code.gray is not None and code.periods
     }
 
 
@@ -101,6 +113,13 @@ def _observe(
 ) -> Observation:
     phases, means, modulations, counts = {}, [], [], []
     for code in layout.codes:
+        if not code.periods:
+            alone = decode_gray_edges(stack.images, code, layout, stack.noise, stack.saturation, stack.subject, threads)
+            phases[code.axis], mean, modulation, count = alone
+            means.append(mean)
+            modulations.append(modulation)
+            counts.append(count)
+            continue
         coarse = stack.gray[code.axis] - np.float32(offsets[code.axis]) if code.gray is not None else None
         found = decode(stack.images, code, stack.noise, stack.saturation, options, threads, coarse)
         phases[code.axis], mean, modulation = found
