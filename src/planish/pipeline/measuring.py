@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -17,6 +18,7 @@ from planish.options import Options, thread_count
 from planish.rig import Rig
 from planish.sensing.capture import Capture, ImageReader
 from planish.sensing.decode import DecodeOptions, PhaseMap
+from planish.sensing.gamma import straighten
 from planish.sensing.images import GreyImage
 from planish.sensing.locate import (
     Geometry,
@@ -114,15 +116,19 @@ def _locate(
     seen: Mapping[str, Observation], rig: Rig, layout: Layout, options: MeasureOptions, subject: str, threads: int
 ) -> Located:
     own, camera, projector = options.organise_on, rig.cameras[options.organise_on], rig.projector
-    phases = {name: item.phases for name, item in seen.items()}
+    # Between the cameras, errors of the fringes' wave form cancel; towards the projector they must go.
     if len(seen) == 1:
         assert projector is not None
-        return locate_by_projector(phases[own], camera, projector, options.reject, subject, threads)
-    located = locate_between_cameras(phases, rig, own, subject, threads)
+        straight, found = straighten(seen[own].phases, layout.codes, own)
+        located = locate_by_projector(straight, camera, projector, options.reject, subject, threads)
+        return replace(located, findings=(*found, *located.findings))
+    located = locate_between_cameras({name: item.phases for name, item in seen.items()}, rig, own, subject, threads)
     if projector is None or options.geometry == "stereo":
         return located
+    straight, found = straighten(seen[own].phases, layout.codes, own)
     period = min((period.period_px for period in layout.periods), default=None)
-    return fill_by_projector(located, phases[own], camera, projector, period, options.reject, subject, threads)
+    located = fill_by_projector(located, straight, camera, projector, period, options.reject, subject, threads)
+    return replace(located, findings=(*found, *located.findings))
 
 
 def _texture_views(options: MeasureOptions, cameras: tuple[str, ...], subject: str) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planish.measurement import Finding, Map, NoiseModel, View
-from planish.sensing.decode import DecodeOptions, PhaseMap, decode
+from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.decode.average import mean_image
 from planish.sensing.decode.gray import gray_offset, gray_positions
 from planish.sensing.decode.gray_edges import decode_gray_edges
@@ -17,6 +17,7 @@ from planish.sensing.entries import Axis
 from planish.sensing.images import GreyImage
 from planish.sensing.noise import estimate_noise, full_scale
 from planish.sensing.sequence import Layout
+from planish.sensing.unwrap import decode_unwrapped
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,7 @@ def _observe(
             counts.append(count)
             continue
         coarse = stack.gray[code.axis] - np.float32(offsets[code.axis]) if code.gray is not None else None
-        found = decode(stack.images, code, stack.noise, stack.saturation, options, threads, coarse)
+        found = decode_unwrapped(stack.images, code, stack.noise, stack.saturation, options, threads, coarse)
         phases[code.axis], mean, modulation = found
         means.append(mean)
         modulations.append(modulation)

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish import _core
 from planish.measurement import Map
@@ -15,6 +16,7 @@ from planish.sensing.decode import PhaseMap
 from planish.sensing.entries import Axis
 from planish.sensing.triangulate import TriangulatedPoints
 
+_AXES: tuple[Axis, Axis] = ("u", "v")
 _ABSENT: Map = np.empty((0, 0), np.float32)
 
 
@@ -33,7 +35,7 @@ class ProjectorPoints(TriangulatedPoints):
 
     miss_sigma_px: Map = field(metadata={"unit": "projector px"})
 
-    def contradiction(self, allowed_px: float, sigmas: float) -> Map:
+    def contradiction(self, allowed_px: float, sigmas: float) -> NDArray[np.bool_]:
         """Return where (H, W) bool both axes contradict each other by more than `allowed_px` and noise explain."""
         with np.errstate(invalid="ignore"):
             return np.asarray(np.abs(self.miss_px) > allowed_px + sigmas * self.miss_sigma_px)
@@ -62,19 +64,19 @@ def intersect(
     decoded axes i, x_i with the projector's distortion. Then sigma_l^-2 = sum (d x_i / d l)^2 / sigma_i^2, and
     sigma_mm = sigma_l |q| / |d n / d s|.
     """
-    maps = [
-        item
-        for axis in ("u", "v")
-        for item in ((phases[axis].position_px, phases[axis].sigma_px) if axis in phases else (_ABSENT, _ABSENT))
-    ]
+    u, v = (phases.get(axis) for axis in _AXES)
     return ProjectorPoints(
         *_core.intersect(
             own.kernel_parameters,
             undistortion_shifts(own, threads),
             projector.kernel_parameters,
-            *projector.size_px,
-            *maps,
-            0 if primary == "u" else 1,
+            projector.size_px[0],
+            projector.size_px[1],
+            _ABSENT if u is None else u.position_px,
+            _ABSENT if u is None else u.sigma_px,
+            _ABSENT if v is None else v.position_px,
+            _ABSENT if v is None else v.sigma_px,
+            _AXES.index(primary),
             threads,
         )
     )
