@@ -88,7 +88,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         located.points,
         located.phase,
         rig.cameras[own],
-        rig.projector,
+        located.third,
         capture.manifest.volume_mm,
         options.reject,
         threads,

@@ -1,4 +1,4 @@
-"""How far points from camera and projector and points from two cameras disagree beyond their noise."""
+"""How far two ways to a point disagree beyond noise: projector and cameras, one projector axis and the other."""
 
 from __future__ import annotations
 
@@ -64,9 +64,18 @@ def measure_agreement(
     s = SAMPLE_STRIDE
     a, b = (_distance(points.points_sensor[::s, ::s], own) for points in (cameras, projector))
     px = (b - a) * phase.sigma_px[::s, ::s] / projector.sigma_mm[::s, ::s]
-    blocks = _blocks(px, BLOCK // s)
-    known = np.isfinite(blocks)
-    counts = known.sum(1)
+    return _systematic(px, None if period_px is None else phase.position_px[::s, ::s] / np.float32(period_px))
+
+
+def systematic_miss(found: TriangulatedPoints) -> Agreement:
+    """Return how far the two projector axes disagree beyond noise: `miss_px` (H, W) without its noise."""
+    return _systematic(found.miss_px[::SAMPLE_STRIDE, ::SAMPLE_STRIDE], None)
+
+
+def _systematic(px: NDArray[np.floating], periods: NDArray[np.floating] | None) -> Agreement:
+    size = BLOCK // SAMPLE_STRIDE
+    blocks = _blocks(px, size)
+    counts = np.isfinite(blocks).sum(1)
     use = counts >= MIN_SAMPLES
     if use.sum() < MIN_BLOCKS:
         return Agreement(None, None)
@@ -74,13 +83,11 @@ def measure_agreement(
     medians[use] = np.nanmedian(blocks[use], axis=1)
     rest = blocks - medians[:, None]
     spread = 1.4826 * np.nanmedian(np.abs(rest[use]))
-    slow = float(np.mean(medians[use] ** 2 - MEDIAN_VARIANCE * spread**2 / counts[use]))
-    ripple = 0.0
-    if period_px is not None:
-        position = _blocks(phase.position_px[::s, ::s], BLOCK // s)
-        ripple = _ripple(rest, position / period_px, spread)
-    total = float(np.sqrt(max(slow, 0.0) + max(ripple, 0.0)))
-    return Agreement(total, float(total / np.sqrt(2 * use.sum())))
+    total = float(np.mean(medians[use] ** 2 - MEDIAN_VARIANCE * spread**2 / counts[use]))
+    if periods is not None:
+        total = max(total, 0.0) + max(_ripple(rest, _blocks(periods, size), spread), 0.0)
+    value = float(np.sqrt(max(total, 0.0)))
+    return Agreement(value, value / float(np.sqrt(2 * use.sum())))
 
 
 def _ripple(rest: NDArray[np.floating], periods: NDArray[np.floating], spread: float) -> float:

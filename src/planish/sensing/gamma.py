@@ -20,14 +20,18 @@ from planish.sensing.sequence import AxisCode
 
 Array = NDArray[np.float64]
 
-#: Harmonics N, 2N, ... that are fitted reach so many cycles per period, and are so many at least and at most.
-MAX_CYCLES, MIN_HARMONICS, MAX_HARMONICS = 12, 1, 4
+#: Harmonics N, 2N, ... that are looked at reach so many cycles per period, and are so many at most.
+MAX_CYCLES, MAX_HARMONICS = 24, 8
+#: The highest harmonic that is kept is so many standard deviations large.
+KEEP_SIGMAS = 4.0
 #: Image lines that are looked at, and clusters of pixels along and across them whose scatter gives the covariance.
 LINES, CLUSTERS = 64, 8
 #: Second differences beyond so many robust standard deviations are edges.
 CLIP_SIGMAS = 4.0
 #: chi^2 per degree of freedom from which an error is one, and amplitude below which it matters nowhere [rad].
 MIN_CHI2, MIN_AMPLITUDE_RAD = 6.0, 5e-4
+#: Beyond this condition number some harmonic cannot be seen.
+MAX_CONDITION = 1e12
 #: Equations per unknown below which nothing is said.
 MIN_EQUATIONS = 500
 
@@ -109,7 +113,7 @@ def estimate_wave_error(phase: PhaseMap, period_px: float, steps: int, lines: in
     clusters (sandwich; Liang and Zeger 1986): neighbouring equations share pixels and surface.
     """
     angle, sigma = _lines(phase, period_px, lines)
-    count = int(np.clip(MAX_CYCLES // steps, MIN_HARMONICS, MAX_HARMONICS))
+    count = int(np.clip(MAX_CYCLES // steps, 1, MAX_HARMONICS))
     waves = np.stack([f(k * steps * angle) for k in range(1, count + 1) for f in (np.sin, np.cos)])
     clusters = CLUSTERS * CLUSTERS
     normal, right = np.zeros((clusters, 2 * count, 2 * count)), np.zeros((clusters, 2 * count))
@@ -119,12 +123,18 @@ def estimate_wave_error(phase: PhaseMap, period_px: float, steps: int, lines: in
         normal, right, equations = normal + more[0], right + more[1], equations + more[2]
     if equations < MIN_EQUATIONS * 2 * count:
         return None
-    total = normal.sum(0)
-    if not np.linalg.cond(total) < 1e12:
+    if not np.linalg.cond(normal.sum(0)) < MAX_CONDITION:
         return None
+    error = _solve(normal, right, steps)
+    deviations = np.abs(error.coefficients.ravel()) / np.sqrt(np.diag(error.covariance))
+    kept = int(np.max(np.flatnonzero(deviations > KEEP_SIGMAS), initial=0)) // 2 + 1
+    return _solve(normal[:, : 2 * kept, : 2 * kept], right[:, : 2 * kept], steps)
+
+
+def _solve(normal: Array, right: Array, steps: int) -> WaveError:
+    total, clusters = normal.sum(0), len(normal)
     flat = np.linalg.solve(total, right.sum(0))
-    scores = right - normal @ flat
-    inverse = np.linalg.inv(total)
+    scores, inverse = right - normal @ flat, np.linalg.inv(total)
     covariance = inverse @ (scores.T @ scores) @ inverse * clusters / (clusters - 1)
     return WaveError(steps, flat.reshape(-1, 2), covariance, _variation(normal, right, flat, covariance))
 

@@ -11,7 +11,7 @@ import numpy as np
 from planish.errors import InputError
 from planish.measurement import Finding, Map
 from planish.rig import Camera, Rig
-from planish.sensing.agreement import Agreement, measure_agreement
+from planish.sensing.agreement import Agreement, measure_agreement, systematic_miss
 from planish.sensing.axes import axis_between_cameras, axis_to_projector
 from planish.sensing.correspond import correspond
 from planish.sensing.decode import PhaseMap
@@ -35,6 +35,8 @@ class Located:
         The organising camera's positions along the axis used, with what has been rejected so far.
     correspondence_px : ndarray (H, W, 2) float32 or None
         Pixel (u, v) of the other camera; NaN where the point comes from the projector; None without another camera.
+    third : Camera or None
+        The projector where it is a check of the points: they do not rest on it, and it does not contradict them all.
     findings : tuple of Finding
         How projector and cameras agree.
     """
@@ -42,6 +44,7 @@ class Located:
     points: TriangulatedPoints
     phase: PhaseMap
     correspondence_px: Map | None = field(metadata={"unit": "px"})
+    third: Camera | None
     findings: tuple[Finding, ...] = ()
 
 
@@ -75,15 +78,15 @@ def locate_between_cameras(
     axis = axis_between_cameras(phases[other], rig.cameras[own], rig.cameras[other], subject)
     phase, cameras = phases[own][axis], (rig.cameras[own], rig.cameras[other])
     pairs = correspond(phase, phases[other][axis], *cameras, threads)
-    return Located(triangulate(pairs, *cameras, threads), phase, pairs.pixel_px)
+    return Located(triangulate(pairs, *cameras, threads), phase, pairs.pixel_px, rig.projector)
 
 
 def locate_by_projector(
     phases: Mapping[Axis, PhaseMap], own: Camera, projector: Camera, options: RejectOptions, subject: str, threads: int
 ) -> Located:
     """Return the points that the organising camera sees and the projector lights; `phases` are its own, per axis."""
-    found, phase = _by_projector(phases, own, projector, options, subject, threads)
-    return Located(found, phase, None)
+    found, phase, findings = _by_projector(phases, own, projector, options, subject, threads)
+    return Located(found, phase, None, None, findings)
 
 
 def fill_by_projector(
@@ -117,19 +120,21 @@ def fill_by_projector(
 
     Notes
     -----
-    The systematic disagreement of the two, found from all points that both give, is added to sigma.
+    The systematic disagreement of the two, found from all points that both give, is added to sigma. Where it is larger
+    than is allowed, no point rests on the projector, nor does the projector check any.
     """
     try:
-        found, phase = _by_projector(phases, own, projector, options, subject, threads)
+        found, phase, findings = _by_projector(phases, own, projector, options, subject, threads)
     except InputError as error:
         silent = Finding("projector against cameras", None, None, "projector px", error.found)
         return replace(located, findings=(*located.findings, silent))
     agreement = measure_agreement(located.points, found, phase, own, period_px)
-    use = agreement.systematic_px is not None and agreement.systematic_px <= options.projector_px
-    located = replace(located, findings=(*located.findings, _finding(agreement, options.projector_px)))
-    if not use:
+    against = _finding("projector against cameras", agreement, options.projector_px, "points that both cameras see")
+    located = replace(located, findings=(*located.findings, *findings, against))
+    if agreement.systematic_px is None:
         return located
-    assert agreement.systematic_px is not None
+    if agreement.systematic_px > options.projector_px:
+        return replace(located, third=None)
     empty = np.isnan(located.points.sigma_mm) & np.isfinite(found.sigma_mm)
     points, sigma, miss = (
         np.array(x) for x in (located.points.points_sensor, located.points.sigma_mm, located.points.miss_px)
@@ -138,33 +143,37 @@ def fill_by_projector(
     per_px = found.sigma_mm[empty] / phase.sigma_px[empty]
     sigma[empty] = np.hypot(found.sigma_mm[empty], np.float32(agreement.systematic_px) * per_px)
     miss[empty] = found.miss_px[empty]
-    return replace(located, points=TriangulatedPoints(points, sigma, miss))
+    checked = phase if phase.axis == located.phase.axis else located.phase
+    return replace(located, points=TriangulatedPoints(points, sigma, miss), phase=checked)
 
 
 def _by_projector(
     phases: Mapping[Axis, PhaseMap], own: Camera, projector: Camera, options: RejectOptions, subject: str, threads: int
-) -> tuple[ProjectorPoints, PhaseMap]:
+) -> tuple[ProjectorPoints, PhaseMap, tuple[Finding, ...]]:
     axis = axis_to_projector(phases, own, projector, subject)
     found, phase = intersect(phases, axis, own, projector, threads), phases[axis]
-    wrong = found.contradiction(options.projector_px, options.sigmas)
-    if wrong.any():
+    findings: tuple[Finding, ...] = ()
+    if len(phases) > 1:
+        agreement = systematic_miss(found)
+        findings = (_finding("row error against the projector", agreement, options.projector_px, "second axis"),)
+        # Where the calibration is off everywhere, a pixel's miss is no reason to reject that pixel.
+        allowed = options.projector_px + 2 * (agreement.systematic_px or 0.0)
+        wrong = found.contradiction(allowed, options.sigmas)
         phase = phase.without(wrong, "mismatch")
         for array in (found.points_sensor, found.sigma_mm):
             array[wrong] = np.nan
-    # The limit of a miss between cameras would not know of noise: what is left here is within it.
-    return replace(found, miss_px=np.full_like(found.miss_px, np.nan)), phase
+    # The limit of a miss between cameras knows nothing of noise: what is left here is within it.
+    return replace(found, miss_px=np.full_like(found.miss_px, np.nan)), phase, findings
 
 
-def _finding(agreement: Agreement, limit_px: float) -> Finding:
+def _finding(quantity: str, agreement: Agreement, limit_px: float, source: str) -> Finding:
     value, unit = agreement.systematic_px, "projector px"
     if value is None:
-        return Finding("projector against cameras", None, None, unit, "too few points that both cameras see")
+        return Finding(quantity, None, None, unit, f"too few points: {source}")
     warning = ""
     if value > limit_px:
         warning = (
-            f"the projector's calibration contradicts the cameras by {value:.2f} projector px beyond noise: no point "
-            "rests on it"
+            f"camera and projector contradict each other by {value:.2f} projector px beyond noise, rms over the image: "
+            "calibrate again, or check the projector's size and the sequence's cell_px and period_px"
         )
-    return Finding(
-        "projector against cameras", value, agreement.sigma_px, unit, "points that both cameras see", warning
-    )
+    return Finding(quantity, value, agreement.sigma_px, unit, source, warning)
