@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -18,7 +17,6 @@ from planish.options import Options, thread_count
 from planish.rig import Rig
 from planish.sensing.capture import Capture, ImageReader
 from planish.sensing.decode import DecodeOptions, PhaseMap
-from planish.sensing.gamma import straighten
 from planish.sensing.images import GreyImage
 from planish.sensing.locate import (
     Geometry,
@@ -31,6 +29,7 @@ from planish.sensing.locate import (
 from planish.sensing.observe import Observation, observe, with_phases
 from planish.sensing.reject import RejectOptions, reject_edges, reject_points
 from planish.sensing.sequence import Layout, read_layouts
+from planish.sensing.straighten import straighten
 
 
 class MeasureOptions(Options):
@@ -83,6 +82,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         capture.manifest, str(capture.path), None if rig.projector is None else rig.projector.size_px
     )
     seen = _observe(capture, rig, cameras, layouts[0], options, threads)
+    seen = {name: straighten(item, layouts[0].codes, name) for name, item in seen.items()}
     located = _locate(seen, rig, layouts[0], options, str(capture.path), threads)
     rejected = reject_points(
         located.points,
@@ -116,19 +116,15 @@ def _locate(
     seen: Mapping[str, Observation], rig: Rig, layout: Layout, options: MeasureOptions, subject: str, threads: int
 ) -> Located:
     own, camera, projector = options.organise_on, rig.cameras[options.organise_on], rig.projector
-    # Between the cameras, errors of the fringes' wave form cancel; towards the projector they must go.
+    phases = {name: item.phases for name, item in seen.items()}
     if len(seen) == 1:
         assert projector is not None
-        straight, found = straighten(seen[own].phases, layout.codes, own)
-        located = locate_by_projector(straight, camera, projector, options.reject, subject, threads)
-        return replace(located, findings=(*found, *located.findings))
-    located = locate_between_cameras({name: item.phases for name, item in seen.items()}, rig, own, subject, threads)
+        return locate_by_projector(phases[own], camera, projector, options.reject, subject, threads)
+    located = locate_between_cameras(phases, rig, own, subject, threads)
     if projector is None or options.geometry == "stereo":
         return located
-    straight, found = straighten(seen[own].phases, layout.codes, own)
     period = min((period.period_px for period in layout.periods), default=None)
-    located = fill_by_projector(located, straight, camera, projector, period, options.reject, subject, threads)
-    return replace(located, findings=(*found, *located.findings))
+    return fill_by_projector(located, phases[own], camera, projector, period, options.reject, subject, threads)
 
 
 def _texture_views(options: MeasureOptions, cameras: tuple[str, ...], subject: str) -> tuple[str, ...]:

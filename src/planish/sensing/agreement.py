@@ -13,9 +13,9 @@ from planish.sensing.decode import PhaseMap
 from planish.sensing.triangulate import TriangulatedPoints
 
 #: Pixels along the side of a block; every SAMPLE_STRIDE-th of them is looked at. Noise averages out in a block.
-BLOCK, SAMPLE_STRIDE = 32, 2
+BLOCK, SAMPLE_STRIDE = 32, 4
 #: Blocks with fewer samples, and captures with fewer blocks, tell nothing.
-MIN_SAMPLES, MIN_BLOCKS = 64, 8
+MIN_SAMPLES, MIN_BLOCKS = 32, 8
 #: Bins of the phase: enough for the third harmonic of four steps.
 PHASE_BINS = 48
 #: Variance of a median over that of a mean, for normal noise (pi / 2).

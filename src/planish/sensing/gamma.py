@@ -2,21 +2,18 @@
 
 A response that is not linear (gamma of projector or camera) adds harmonics to the fringes; N steps turn those of
 order N - 1 and N + 1, 2N - 1, ... into an error of the phase with N, 2N, ... cycles per period. It is the same function
-of the phase in every camera, so that between two cameras it cancels; between camera and projector it does not.
+of the phase in every camera, so that between two cameras it cancels but for what interpolation in the other camera
+smoothes; between camera and projector it does not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.measurement import Finding
 from planish.sensing.decode import PhaseMap
-from planish.sensing.entries import Axis
-from planish.sensing.sequence import AxisCode
 
 Array = NDArray[np.float64]
 
@@ -26,6 +23,8 @@ MAX_CYCLES, MAX_HARMONICS = 24, 8
 KEEP_SIGMAS = 4.0
 #: Image lines that are looked at, and clusters of pixels along and across them whose scatter gives the covariance.
 LINES, CLUSTERS = 64, 8
+#: Lines on which it is found out whether there is an error at all.
+FIRST_LINES = 16
 #: Second differences beyond so many robust standard deviations are edges.
 CLIP_SIGMAS = 4.0
 #: chi^2 per degree of freedom from which an error is one, and amplitude below which it matters nowhere [rad].
@@ -50,12 +49,16 @@ class WaveError:
         Theirs, row by row [rad^2].
     variation_rad : float
         Standard deviation of s_1, c_1 between the parts of the image, beyond their noise.
+    noise_ratio : float
+        Scatter of the phases from pixel to pixel over what their sigma states, 1 at most: the scatter holds noise and
+        more, so that less than 1 means that sigma is too large (the noise model is linear in the grey level).
     """
 
     steps: int
     coefficients: Array
     covariance: Array
     variation_rad: float
+    noise_ratio: float = 1.0
 
     @property
     def amplitude_rad(self) -> float:
@@ -113,7 +116,15 @@ def estimate_wave_error(phase: PhaseMap, period_px: float, steps: int, lines: in
     clusters (sandwich; Liang and Zeger 1986): neighbouring equations share pixels and surface.
     """
     angle, sigma = _lines(phase, period_px, lines)
-    count = int(np.clip(MAX_CYCLES // steps, 1, MAX_HARMONICS))
+    few = max(1, len(angle) // FIRST_LINES)
+    first = _fit(angle[::few], sigma[::few], steps, 1)
+    if first is None or not first.significant:
+        return first
+    error = _fit(angle, sigma, steps, int(np.clip(MAX_CYCLES // steps, 1, MAX_HARMONICS)))
+    return error and replace(error, noise_ratio=_noise_ratio(angle, sigma, error))
+
+
+def _fit(angle: Array, sigma: Array, steps: int, count: int) -> WaveError | None:
     waves = np.stack([f(k * steps * angle) for k in range(1, count + 1) for f in (np.sin, np.cos)])
     clusters = CLUSTERS * CLUSTERS
     normal, right = np.zeros((clusters, 2 * count, 2 * count)), np.zeros((clusters, 2 * count))
@@ -145,34 +156,9 @@ def without_wave_error(phase: PhaseMap, error: WaveError, period_px: float) -> P
     angle = np.mod(phase.position_px / np.float32(period_px), np.float32(1)) * np.float32(2 * np.pi)
     correction, slope = error.correction(angle)
     position = phase.position_px + scale * correction
-    sigma = np.hypot(phase.sigma_px * np.abs(1 + slope), scale * np.float32(error.remaining_sigma_rad))
+    noise = phase.sigma_px * np.float32(error.noise_ratio) * np.abs(1 + slope)
+    sigma = np.hypot(noise, scale * np.float32(error.remaining_sigma_rad))
     return replace(phase, position_px=position, sigma_px=sigma)
-
-
-def straighten(
-    phases: Mapping[Axis, PhaseMap], codes: Sequence[AxisCode], camera: str
-) -> tuple[dict[Axis, PhaseMap], tuple[Finding, ...]]:
-    """Return a camera's positions (H, W) per axis without the error, where there is one, and what was found."""
-    straight, findings = dict(phases), []
-    for code in codes:
-        if not code.periods or code.axis not in phases:
-            continue
-        finest = code.periods[-1]
-        error = estimate_wave_error(phases[code.axis], finest.period_px, len(finest.images))
-        findings.append(wave_finding(error, camera, code.axis))
-        if error is not None and error.significant:
-            straight[code.axis] = without_wave_error(phases[code.axis], error, finest.period_px)
-    return straight, tuple(findings)
-
-
-def wave_finding(error: WaveError | None, camera: str, axis: str) -> Finding:
-    """Return what is to be said of the error."""
-    quantity = f"phase error by the fringes' wave form in camera {camera}, axis {axis}"
-    if error is None:
-        return Finding(quantity, None, None, "rad", "too few phases on smooth surfaces")
-    use = "corrected against the projector" if error.significant else "not significant"
-    source = f"ripple of the phases, {error.steps} cycles per period, {use}"
-    return Finding(quantity, error.amplitude_rad, error.amplitude_sigma_rad, "rad", source)
 
 
 def _lines(phase: PhaseMap, period_px: float, lines: int) -> tuple[Array, Array]:
@@ -231,6 +217,15 @@ def _equations(phase: Array, sigma: Array, waves: Array, lag: int) -> tuple[Arra
         normal[i] = weighted[:, members] @ X[:, members].T
         right[i] = weighted[:, members] @ y[members]
     return normal, right, len(y)
+
+
+def _noise_ratio(angle: Array, sigma: Array, error: WaveError) -> float:
+    correction, slope = error.correction(angle)
+    bend = _second_difference(_wrapped(angle + correction), 1)
+    variance = (sigma * (1 + slope)) ** 2
+    expected = np.sqrt(variance[:, 2:] + 4 * variance[:, 1:-1] + variance[:, :-2])
+    scatter = np.abs(_wrapped(bend) / expected)
+    return min(1.0, 1.4826 * float(np.nanmedian(scatter)))
 
 
 def _variation(normal: Array, right: Array, flat: Array, covariance: Array) -> float:

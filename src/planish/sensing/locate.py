@@ -11,7 +11,7 @@ import numpy as np
 from planish.errors import InputError
 from planish.measurement import Finding, Map
 from planish.rig import Camera, Rig
-from planish.sensing.agreement import Agreement, measure_agreement, systematic_miss
+from planish.sensing.agreement import SAMPLE_STRIDE, Agreement, measure_agreement, systematic_miss
 from planish.sensing.axes import axis_between_cameras, axis_to_projector
 from planish.sensing.correspond import correspond
 from planish.sensing.decode import PhaseMap
@@ -106,7 +106,7 @@ def fill_by_projector(
     located : Located
         The points of both cameras.
     phases : dict of PhaseMap
-        The organising camera's positions per axis.
+        The organising camera's positions per axis, without errors of their wave form.
     own, projector : Camera
         Their calibration.
     period_px : float or None
@@ -123,6 +123,11 @@ def fill_by_projector(
     The systematic disagreement of the two, found from all points that both give, is added to sigma. Where it is larger
     than is allowed, no point rests on the projector, nor does the projector check any.
     """
+    # Only where a point is missing, and at a sample of the others.
+    wanted = np.isnan(located.points.sigma_mm)
+    wanted[::SAMPLE_STRIDE, ::SAMPLE_STRIDE] = True
+    located = replace(located, phase=phases[located.phase.axis])
+    phases = {axis: phase.without(~wanted, "unmatched") for axis, phase in phases.items()}
     try:
         found, phase, findings = _by_projector(phases, own, projector, options, subject, threads)
     except InputError as error:
@@ -143,8 +148,7 @@ def fill_by_projector(
     per_px = found.sigma_mm[empty] / phase.sigma_px[empty]
     sigma[empty] = np.hypot(found.sigma_mm[empty], np.float32(agreement.systematic_px) * per_px)
     miss[empty] = found.miss_px[empty]
-    checked = phase if phase.axis == located.phase.axis else located.phase
-    return replace(located, points=TriangulatedPoints(points, sigma, miss), phase=checked)
+    return replace(located, points=TriangulatedPoints(points, sigma, miss))
 
 
 def _by_projector(
