@@ -221,7 +221,7 @@ def _equations(phase: Array, sigma: Array, waves: Array, lag: int) -> tuple[Arra
 
 def _noise_ratio(angle: Array, sigma: Array, error: WaveError) -> float:
     correction, slope = error.correction(angle)
-    bend = _second_difference(_wrapped(angle + correction), 1)
+    bend = _second_difference(angle + np.asarray(correction, float), 1)
     variance = (sigma * (1 + slope)) ** 2
     expected = np.sqrt(variance[:, 2:] + 4 * variance[:, 1:-1] + variance[:, :-2])
     scatter = np.abs(_wrapped(bend) / expected)
