@@ -56,7 +56,8 @@ def ripple_rad(phase, steps, period=PERIODS[-1]):
 
 @pytest.mark.parametrize(
     ("steps", "projector_gamma", "camera_gamma", "expected_rad"),
-    # First order: |r_(N-1) - r_(N+1)|, r_k = c_k / c_1 of a cosine to the power p, r_(k+1) / r_k = (p - k) / (p + k + 1).
+    # First order: |r_(N-1) - r_(N+1)|, r_k = c_k / c_1 of a cosine to the power p;
+    # r_(k+1) / r_k = (p - k) / (p + k + 1).
     [(3, 2.2, 1.0, 0.29), (3, 1.0, 2.2, 0.16), (4, 2.2, 1.0, 0.0107), (4, 1.0, 2.2, 0.0625)],
 )  # fmt: skip
 def test_the_error_is_found_and_taken_away(steps, projector_gamma, camera_gamma, expected_rad):

@@ -20,8 +20,8 @@ constexpr int kSteps = 4;
 constexpr double kConverged = 1e-8;
 /// Smallest share of an axis in the direction in which the ray's image runs; below it the axis says nothing.
 constexpr double kMinShare = 1e-3;
-/// Light may come from so far outside the projector's picture [px]: its lens blurs, its calibration errs.
-constexpr double kMargin = 4.0;
+/// Pixels so near to the rim of the projector's picture [own px] also see what lies beyond it, unlit: the lens blurs.
+constexpr double kRim = 1.5;
 
 /// Place of an undistorted point in the projector [px], and how it moves along a direction.
 struct Moving {
@@ -69,7 +69,7 @@ struct Row {
 struct Transfer {
     Eigen::Matrix3d R;
     Eigen::Vector3d t;
-    double width, height;
+    double width, height, focal_ratio;  ///< of the projector; its focal length over that of the camera
 };
 
 void gather(const ViewGeometry& own, const DecodedAxis axes[2], int primary, int v, Row& row) {
@@ -165,8 +165,9 @@ void finish(const Transfer& go, std::size_t n, Row& row) {
         const double steepness = gu * gu + gv * gv;
         const double used = (wu > 0 ? gu * gu : 0.0) + (wv > 0 ? gv * gv : 0.0);
         const double at_u = row.p[0][k] - row.ru[k], at_v = row.p[1][k] - row.rv[k];
-        const bool inside = at_u > -0.5 - kMargin && at_u < go.width - 0.5 + kMargin && at_v > -0.5 - kMargin &&
-                            at_v < go.height - 0.5 + kMargin;
+        // An own pixel is as wide as its share of both focal lengths and of the distances from both devices.
+        const double rim = kRim * go.focal_ratio * s / z - 0.5;
+        const bool inside = at_u > rim && at_u < go.width - 1 - rim && at_v > rim && at_v < go.height - 1 - rim;
         const bool good =
             std::fabs(row.step[k]) < kConverged && s > 0 && z > 0 && inside && used > kMinShare * kMinShare * steepness;
         const bool both = good && wu > 0 && wv > 0;
@@ -203,7 +204,7 @@ void intersect(const ViewGeometry& own, const Camera& projector, int width, int 
     const Eigen::Matrix3d R_sensor_own = own.camera.R_camera_sensor.transpose();
     const Eigen::Vector3d center = own.camera.center_sensor();
     const Transfer go{projector.R_camera_sensor * R_sensor_own, projector.to_camera(center), static_cast<double>(width),
-                      static_cast<double>(height)};
+                      static_cast<double>(height), projector.fx / own.camera.fx};
     const auto columns = static_cast<std::size_t>(out.sigma_mm.width);
     parallel_for(static_cast<std::size_t>(out.sigma_mm.height), threads, [&](std::size_t begin, std::size_t end) {
         Row row(columns);

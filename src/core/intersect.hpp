@@ -22,7 +22,7 @@ struct IntersectResult {
 ///
 /// The ray's image in the undistorted projector is a straight line; the place on it is found by Gauss-Newton steps on
 /// the weighted squares of the decoded axes. Pixels without a position along `axes[primary]` have no point. Nor have
-/// points behind a device or outside the projector's picture (width, height).
+/// points behind a device, or outside the projector's picture (width, height) and at its rim.
 void intersect(const ViewGeometry& own, const Camera& projector, int width, int height, const DecodedAxis axes[2],
                int primary, int threads, const IntersectResult& out);
 
