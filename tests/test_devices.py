@@ -8,9 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from command_line import planish
 from planish.errors import InputError
-from planish.geometry import compose, exp_so3
-from planish.pipeline import MeasureOptions, measure
+from planish.geometry import compose, exp_so3, invert
+from planish.measurement import Measurement
+from planish.pipeline import MeasureOptions, measure, register
 from planish.rig import Rig
 from planish.sensing.capture import Capture
 from planish.simulation.scenes import make_scene
@@ -169,3 +171,26 @@ def test_bytes_do_not_depend_on_the_number_of_threads(folder, tmp_path):
     results = [measure(capture(folder, tmp_path), None, threads) for threads in (1, 3)]
     for name in ("points_sensor", "sigma_mm", "rejected", "correspondence_px"):
         assert getattr(results[0], name).tobytes() == getattr(results[1], name).tobytes()
+
+
+def test_the_command_line_chooses_the_devices(folder, tmp_path):
+    capture(folder, tmp_path)
+    outcome = planish("measure", tmp_path, "--images", folder, "--out", tmp_path / "out", "--geometry", "projector")
+    assert outcome.code == 0
+    assert Measurement.load(tmp_path / "out" / "m1.h5").correspondence_px is None
+    outcome = planish("measure", tmp_path, "--images", folder, "--out", tmp_path / "out", "--geometry", "laser")
+    assert outcome.code == 2
+    assert "geometry" in outcome.err
+
+
+@pytest.mark.parametrize("geometry", ["auto", "projector"])
+def test_measurements_by_the_projector_register(tmp_path, geometry):
+    scene = make_scene("plate", 4, 2, scale=SCALE)
+    write_scene(scene, tmp_path, true_points=False)
+    options = MeasureOptions(geometry=geometry)
+    measurements = [measure(Capture.load(tmp_path / name), options, 2) for name in scene.names]
+    pair = register(measurements, threads=2).pairs[0]
+    T_true = invert(scene.T_object_sensor[0]) @ scene.T_object_sensor[1]
+    assert pair.status == "accepted"
+    # A tenth of a camera pixel at this scale.
+    assert np.abs(pair.T_a_b - T_true)[:3].max() < 0.08
