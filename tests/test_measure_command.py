@@ -64,6 +64,12 @@ def edit(capture, change):
     (capture / "capture.json").write_text(json.dumps(content))
 
 
+def one_camera_alone(capture):
+    edit(capture, lambda m: m["images"].pop("B"))
+    rig = json.loads((capture / "rig.json").read_text())
+    (capture / "rig.json").write_text(json.dumps(rig | {"projector": None}))
+
+
 @pytest.mark.parametrize("path", ["part", "part/capture.json", "."])
 def test_a_capture_is_named_by_its_file_its_folder_or_the_folder_above(capture, tmp_path, monkeypatch, capsys, path):
     assert run(monkeypatch, "measure", tmp_path / path, "--out", tmp_path / "out", "--threads", 2) == 0
@@ -132,7 +138,7 @@ def colour(path):
         (lambda c: edit(c, lambda m: m["sequence"][2].update(step=1)), ["steps [0, 1, 1, 3] of 4"]),
         (lambda c: edit(c, lambda m: m.update(sequence=[{"role": "white"}] * 10)), ["nothing that encodes a position"]),
         (lambda c: edit(c, lambda m: m["images"]["A"].pop()), ["images.A names 9 images", "10"]),
-        (lambda c: edit(c, lambda m: m["images"].pop("B")), ["images and calibration of A and B"]),
+        (lambda c: one_camera_alone(c), ["images and calibration of A and B, or of the projector"]),
         (lambda c: edit(c, lambda m: m.update(rig="other.json")), ["other.json"]),
         (lambda c: (c / "capture.json").write_text("{"), ["not valid JSON"]),
         (lambda c: (c / "capture.json").unlink(), ["no capture in this folder"]),

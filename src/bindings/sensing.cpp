@@ -24,6 +24,7 @@
 #include "core/gray_edges.hpp"
 #include "core/grazing.hpp"
 #include "core/image.hpp"
+#include "core/intersect.hpp"
 #include "core/islands.hpp"
 #include "core/phase_edges.hpp"
 #include "core/projector_residual.hpp"
@@ -370,6 +371,25 @@ void drop_rejected(const AnyIn<std::uint16_t>& rejected,
     planish::drop_rejected(r, threads, x);
 }
 
+nb::tuple intersect(const AnyIn<double>& own, const AnyIn<float>& own_shift, const AnyIn<double>& projector, int width,
+                    int height, const AnyIn<float>& position_u, const AnyIn<float>& sigma_u,
+                    const AnyIn<float>& position_v, const AnyIn<float>& sigma_v, int primary, int threads) {
+    const auto& given = primary == 0 ? position_u : position_v;
+    const std::size_t h = given.shape(0), w = given.shape(1);
+    auto points = make_array<float>({h, w, 3}), sigma = make_array<float>({h, w}), miss = make_array<float>({h, w}),
+         miss_sigma = make_array<float>({h, w});
+    const planish::ViewGeometry view{make_camera(own), view_of(own_shift)};
+    const planish::Camera model = make_camera(projector);
+    const planish::DecodedAxis axes[2] = {{view_of(position_u), view_of(sigma_u)},
+                                          {view_of(position_v), view_of(sigma_v)}};
+    const planish::IntersectResult out{view_of(points), view_of(sigma), view_of(miss), view_of(miss_sigma)};
+    {
+        nb::gil_scoped_release release;
+        planish::intersect(view, model, width, height, axes, primary, threads, out);
+    }
+    return nb::make_tuple(points, sigma, miss, miss_sigma);
+}
+
 AnyOut<std::uint8_t> grazing_points(const AnyIn<float>& depth, const AnyIn<float>& sigma, const AnyIn<float>& position,
                                     float pixel_size, float max_slope, float rim_px, float sigmas, int threads) {
     auto grazing = make_array<std::uint8_t>({depth.shape(0), depth.shape(1)});
@@ -408,6 +428,7 @@ void bind_sensing(nb::module_& m) {
     m.def("projector_residual", &projector_residual);
     m.def("check_points", &check_points);
     m.def("drop_rejected", &drop_rejected);
+    m.def("intersect", &intersect);
     m.def("grazing_points", &grazing_points);
     m.def("islands", &islands);
 }

@@ -216,6 +216,19 @@ def check_points(
     threads: int,
 ) -> tuple[U16, F32]: ...
 def drop_rejected(rejected: U16, values: F32, threads: int) -> None: ...
+def intersect(
+    own: F64,
+    own_shift: F32,
+    projector: F64,
+    width: int,
+    height: int,
+    position_u: F32,
+    sigma_u: F32,
+    position_v: F32,
+    sigma_v: F32,
+    primary: int,
+    threads: int,
+) -> tuple[F32, F32, F32, F32]: ...
 def grazing_points(
     depth: F32,
     sigma: F32,

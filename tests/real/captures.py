@@ -13,12 +13,12 @@ from planish.sensing.capture import Capture
 HERE = Path(__file__).parent
 
 
-def load(name: str) -> Capture:
-    """The capture with its manifest here and its images in the data folder; skips the test where that is absent."""
+def load(name: str, manifest: str = "capture.json") -> Capture:
+    """The capture with its manifest here, its images in the data folder; skips the test where that is absent."""
     folder = Path(os.environ.get("PLANISH_DATA", HERE.parents[2] / "shared" / "data")) / name
     if not folder.is_dir():
         pytest.skip(f"real data not present: {folder} (set PLANISH_DATA to the folder that holds {name})")
-    return Capture.load(HERE / name, folder)
+    return Capture.load(HERE / name / manifest, folder)
 
 
 def measured(name: str, **options) -> Measurement:

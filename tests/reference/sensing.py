@@ -130,6 +130,30 @@ def edges_of_row(p, limit):
     return edge
 
 
+def intersect(own, projector, u, v, positions, sigmas):
+    """Point on the ray of pixel (u, v) whose projection has positions (2,) best, and its sigma along the ray.
+
+    A position of NaN does not count. Plain search over the depth, then parabola through the three best.
+    """
+    ray = own.rays_sensor(np.array([u, v], float))
+    weight = np.where(np.isfinite(positions), 1 / np.asarray(sigmas, float) ** 2, 0.0)
+    wanted = np.nan_to_num(positions)
+
+    def cost(depths):
+        return (weight * (projector.project(own.center_sensor + depths[:, None] * ray) - wanted) ** 2).sum(1)
+
+    depths = np.linspace(300, 3000, 2001)
+    for _ in range(6):
+        best = int(np.clip(np.nanargmin(cost(depths)), 1, len(depths) - 2))
+        depths = np.linspace(depths[best - 1], depths[best + 1], 101)
+    near = depths[50] + np.array([-1e-2, 0.0, 1e-2])
+    before, here, after = cost(near)
+    curvature = (before - 2 * here + after) / 1e-4
+    depth = near[1] - 0.5 * (after - before) / 2e-2 / (0.5 * curvature)
+    # The cost is (depth - best)^2 / sigma^2.
+    return own.center_sensor + depth * ray, np.linalg.norm(ray) / np.sqrt(0.5 * curvature)
+
+
 def gray_edge_positions(lit, unlit, noise):
     """Positions and sigma (H, W) between the edges along the rows; bits (n, H, W), most significant first."""
     count, height, width = lit.shape

@@ -80,12 +80,15 @@ def measure(
     out: Annotated[Path, typer.Option(help="Folder for the measurements, one <name>.h5 each.")],
     images: Annotated[Path | None, typer.Option(help="Folder the image names are relative to.")] = None,
     organise_on: Annotated[str, typer.Option(help="Camera whose pixel grid organises the points: A or B.")] = "A",
+    geometry: Annotated[
+        str, typer.Option(help="Points from two cameras (stereo), camera and projector (projector), or both (auto).")
+    ] = "auto",
     texture_views: Annotated[str, typer.Option(help="Cameras whose images serve as texture.")] = "A,B",
     why: Annotated[bool, typer.Option("--why", help="Also show why pixels have no point, in <name>_why.png.")] = False,
     threads: Annotated[int | None, typer.Option(help="Threads; the bytes do not depend on it.")] = None,
 ) -> None:
     """Turn the fringe images of each CAPTURE into a textured 3D measurement."""
-    values: dict[str, Any] = {"organise_on": organise_on, "texture_views": _views(texture_views)}
+    values: dict[str, Any] = {"organise_on": organise_on, "geometry": geometry, "texture_views": _views(texture_views)}
     options = MeasureOptions.parse(values, "measure")
     count = thread_count(threads)
     found = find_captures(captures, images)

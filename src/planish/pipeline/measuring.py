@@ -16,14 +16,21 @@ from planish.measurement import Measurement
 from planish.options import Options, thread_count
 from planish.rig import Rig
 from planish.sensing.capture import Capture, ImageReader
-from planish.sensing.correspond import correspond
 from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.exposures import merge_exposures, split_exposures
 from planish.sensing.images import GreyImage
+from planish.sensing.locate import (
+    Geometry,
+    Located,
+    cameras_needed,
+    fill_by_projector,
+    locate_between_cameras,
+    locate_by_projector,
+)
 from planish.sensing.observe import Observation, observe, with_phases
 from planish.sensing.reject import RejectOptions, drop_points, reject_edges, reject_points
-from planish.sensing.sequence import read_layouts
-from planish.sensing.triangulate import triangulate
+from planish.sensing.sequence import Layout, read_layouts
+from planish.sensing.straighten import straighten
 
 
 class MeasureOptions(Options):
@@ -33,13 +40,18 @@ class MeasureOptions(Options):
     ----------
     organise_on : "A" or "B"
         The camera whose pixel grid organises the measurement.
+    geometry : "auto", "stereo" or "projector"
+        What gives the points: two cameras where both have images, with the projector where the other camera sees
+        nothing ("auto"; one camera and the projector where there are images of one), two cameras alone, or the
+        organising camera and the projector alone.
     texture_views : tuple of "A", "B"
-        Cameras whose images may serve as texture.
+        Cameras whose images may serve as texture, of those that the points rest on.
     decode, reject
         Options of these stages.
     """
 
     organise_on: Literal["A", "B"] = "A"
+    geometry: Geometry = "auto"
     texture_views: tuple[Literal["A", "B"], ...] = Field(default=("A", "B"), min_length=1)
     decode: DecodeOptions = DecodeOptions()
     reject: RejectOptions = RejectOptions()
@@ -64,34 +76,62 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
     """
     options, threads = options or MeasureOptions(), thread_count(threads)
     rig = capture.load_rig(options.organise_on)
-    own, other = options.organise_on, rig.other(options.organise_on)
-    if other is None or "B" not in capture.cameras:
-        raise InputError(capture.path, f"one camera ({', '.join(rig.cameras)})", "images and calibration of A and B")
+    own = options.organise_on
+    cameras = cameras_needed(rig, capture.cameras, own, options.geometry, str(capture.path))
+    views = _texture_views(options, cameras, str(capture.path))
     layouts = read_layouts(
         capture.manifest, str(capture.path), None if rig.projector is None else rig.projector.size_px
     )
-    seen = _observe(capture, rig, (own, other), options, threads)
-    axis = layouts[0].codes[0].axis
-    phase = seen[own].phases[axis]
-    pairs = correspond(phase, seen[other].phases[axis], rig.cameras[own], rig.cameras[other], threads)
-    found = triangulate(pairs, rig.cameras[own], rig.cameras[other], threads)
+    seen = _observe(capture, rig, cameras, options, threads)
+    seen = {name: straighten(item, layouts[0].codes, name) for name, item in seen.items()}
+    located = _locate(seen, rig, layouts[0], options, str(capture.path), threads)
     rejected = reject_points(
-        found, phase, rig.cameras[own], rig.projector, capture.manifest.volume_mm, options.reject, threads
+        located.points,
+        located.phase,
+        rig.cameras[own],
+        located.third,
+        capture.manifest.volume_mm,
+        options.reject,
+        threads,
     )
-    drop_points(found, pairs, rejected, threads)
+    drop_points(located.points, located.correspondence_px, rejected, threads)
     return Measurement(
         name=capture.name,
         organised_on=own,
         rig=rig,
-        points_sensor=found.points_sensor,
-        sigma_mm=found.sigma_mm,
+        points_sensor=located.points.points_sensor,
+        sigma_mm=located.points.sigma_mm,
         rejected=rejected,
-        correspondence_px=pairs.pixel_px,
+        correspondence_px=located.correspondence_px,
         views={name: seen[name].view for name in sorted(seen)},
-        texture_views=tuple(options.texture_views),
+        texture_views=views,
         resampled=False,
-        findings=tuple(finding for name in sorted(seen) for finding in seen[name].findings),
+        findings=(*(finding for name in sorted(seen) for finding in seen[name].findings), *located.findings),
     )
+
+
+def _locate(
+    seen: Mapping[str, Observation], rig: Rig, layout: Layout, options: MeasureOptions, subject: str, threads: int
+) -> Located:
+    own, camera, projector = options.organise_on, rig.cameras[options.organise_on], rig.projector
+    phases = {name: item.phases for name, item in seen.items()}
+    if len(seen) == 1:
+        assert projector is not None
+        return locate_by_projector(phases[own], camera, projector, options.reject, subject, threads)
+    located = locate_between_cameras(phases, rig, own, subject, threads)
+    if projector is None or options.geometry == "stereo":
+        return located
+    period = min((period.period_px for period in layout.periods), default=None)
+    return fill_by_projector(located, phases[own], camera, projector, period, options.reject, subject, threads)
+
+
+def _texture_views(options: MeasureOptions, cameras: tuple[str, ...], subject: str) -> tuple[str, ...]:
+    views = tuple(name for name in options.texture_views if name in cameras)
+    if not views:
+        raise InputError(
+            f"{subject}: texture views", ", ".join(options.texture_views), f"a camera in use: {', '.join(cameras)}"
+        )
+    return views
 
 
 def _observe(

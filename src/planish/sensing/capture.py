@@ -39,7 +39,7 @@ class Images(Strict):
 
 
 class Manifest(Strict):
-    """Content of `capture.json`. `rig` names a planish rig.json, or the YAML files of an OpenCV stereo calibration."""
+    """Content of `capture.json`. `rig` names a planish rig.json, or the YAML or XML files of an OpenCV calibration."""
 
     schema_: Literal["planish.capture/1"] = Field(alias="schema")
     name: str | None = Field(default=None, min_length=1, pattern=r"^[^/\\]+$")
@@ -89,7 +89,7 @@ class Capture:
         names = [self.manifest.rig] if isinstance(self.manifest.rig, str) else self.manifest.rig
         files = [self._inside(name, prefer=self.path.parent) for name in names]
         height, width = self.read_image("A", 0).shape
-        rig = read_opencv_rig(files, (width, height))
+        rig = read_opencv_rig(files, (width, height), self.manifest.projector_px)
         return rig.in_frame_of(organise_on)
 
     def image_path(self, camera: str, index: int) -> Path:

@@ -9,14 +9,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planish.measurement import Finding, Map, NoiseModel, View
-from planish.sensing.decode import DecodeOptions, PhaseMap, decode
+from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.decode.average import mean_image
 from planish.sensing.decode.gray import gray_offset, gray_positions
 from planish.sensing.decode.gray_edges import decode_gray_edges
 from planish.sensing.entries import Axis
 from planish.sensing.images import GreyImage
 from planish.sensing.noise import estimate_noise, full_scale
+from planish.sensing.response import gamma_finding
 from planish.sensing.sequence import Layout
+from planish.sensing.unwrap import decode_unwrapped
 
 
 @dataclass(frozen=True)
@@ -85,7 +87,7 @@ def observe(
             )
         )
         offsets = _gray_offsets(stacks, layout, subject)
-        found = pool.map(lambda name: _observe(stacks[name], layout, offsets, options, own), cameras)
+        found = pool.map(lambda name: _observe(name, stacks[name], layout, offsets, options, own), cameras)
         return dict(zip(cameras, found, strict=True))
 
 
@@ -109,7 +111,7 @@ def _gray_offsets(stacks: Mapping[str, _Stack], layout: Layout, subject: str) ->
 
 
 def _observe(
-    stack: _Stack, layout: Layout, offsets: Mapping[Axis, float], options: DecodeOptions, threads: int
+    name: str, stack: _Stack, layout: Layout, offsets: Mapping[Axis, float], options: DecodeOptions, threads: int
 ) -> Observation:
     phases, means, modulations, counts = {}, [], [], []
     for code in layout.codes:
@@ -121,7 +123,7 @@ def _observe(
             counts.append(count)
             continue
         coarse = stack.gray[code.axis] - np.float32(offsets[code.axis]) if code.gray is not None else None
-        found = decode(stack.images, code, stack.noise, stack.saturation, options, threads, coarse)
+        found = decode_unwrapped(stack.images, code, stack.noise, stack.saturation, options, threads, coarse)
         phases[code.axis], mean, modulation = found
         means.append(mean)
         modulations.append(modulation)
@@ -134,7 +136,8 @@ def _observe(
         stack.noise,
         stack.saturation,
     )
-    return Observation(phases, view)
+    gamma = gamma_finding(stack.images, layout, stack.noise, stack.saturation, name)
+    return Observation(phases, view, () if gamma is None else (gamma,))
 
 
 def _average(maps: Sequence[Map], counts: Sequence[int]) -> Map:

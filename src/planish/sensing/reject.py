@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planish import _core
-from planish.measurement import rejection_bit
+from planish.measurement import Map, rejection_bit
 from planish.options import Options
 from planish.rig import Camera
 from planish.sensing.capture import Box
-from planish.sensing.correspond import Correspondences
 from planish.sensing.decode import PhaseMap, position_slope
 from planish.sensing.triangulate import TriangulatedPoints
 
@@ -126,7 +125,8 @@ def reject_points(
     return rejected
 
 
-def drop_points(found: TriangulatedPoints, pairs: Correspondences, rejected: NDArray[np.uint16], threads: int) -> None:
-    """Set points, standard deviations and correspondences to NaN, in place, where `rejected` (H, W) is not 0."""
-    for values in (found.points_sensor, found.sigma_mm, pairs.pixel_px):
-        _core.drop_rejected(rejected, values, threads)
+def drop_points(found: TriangulatedPoints, pixel_px: Map | None, rejected: NDArray[np.uint16], threads: int) -> None:
+    """Set points, standard deviations and corresponding pixels to NaN, in place, where `rejected` (H, W) is not 0."""
+    for values in (found.points_sensor, found.sigma_mm, pixel_px):
+        if values is not None:
+            _core.drop_rejected(rejected, values, threads)

@@ -1,0 +1,183 @@
+"""Points of the organising camera's pixels, by whichever devices of the rig see them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from planish.errors import InputError
+from planish.measurement import Finding, Map
+from planish.rig import Camera, Rig
+from planish.sensing.agreement import SAMPLE_STRIDE, Agreement, measure_agreement, systematic_miss
+from planish.sensing.axes import axis_between_cameras, axis_to_projector
+from planish.sensing.correspond import correspond
+from planish.sensing.decode import PhaseMap
+from planish.sensing.entries import Axis
+from planish.sensing.projector import ProjectorPoints, intersect
+from planish.sensing.reject import RejectOptions
+from planish.sensing.triangulate import TriangulatedPoints, triangulate
+
+Geometry = Literal["auto", "stereo", "projector"]
+
+
+@dataclass(frozen=True)
+class Located:
+    """Points, and what they rest on.
+
+    Parameters
+    ----------
+    points : TriangulatedPoints
+        On the pixel grid (H, W) of the organising camera.
+    phase : PhaseMap
+        The organising camera's positions along the axis used, with what has been rejected so far.
+    correspondence_px : ndarray (H, W, 2) float32 or None
+        Pixel (u, v) of the other camera; NaN where the point comes from the projector; None without another camera.
+    third : Camera or None
+        The projector where it is a check of the points: they do not rest on it, and it does not contradict them all.
+    findings : tuple of Finding
+        How projector and cameras agree.
+    """
+
+    points: TriangulatedPoints
+    phase: PhaseMap
+    correspondence_px: Map | None = field(metadata={"unit": "px"})
+    third: Camera | None
+    findings: tuple[Finding, ...] = ()
+
+
+def cameras_needed(rig: Rig, images: tuple[str, ...], own: str, geometry: Geometry, subject: str) -> tuple[str, ...]:
+    """Return the names of the cameras whose images are needed, the organising one first.
+
+    Raises
+    ------
+    InputError
+        Where images or calibration do not suffice.
+    """
+    other = rig.other(own)
+    pair = other is not None and {own, other} <= set(images)
+    if own not in images or own not in rig.cameras:
+        raise InputError(subject, f"images and calibration of {', '.join(images)}", f"those of camera {own}")
+    if geometry != "projector" and pair:
+        assert other is not None
+        return (own, other)
+    if geometry == "stereo" or rig.projector is None:
+        projector = "" if rig.projector is None else " and the projector"
+        expected = "images and calibration of A and B" + ("" if geometry == "stereo" else ", or of the projector")
+        raise InputError(subject, f"one camera ({own}){projector}", expected)
+    return (own,)
+
+
+def locate_between_cameras(
+    phases: Mapping[str, Mapping[Axis, PhaseMap]], rig: Rig, own: str, subject: str, threads: int
+) -> Located:
+    """Return the points that both cameras see; `phases` are theirs, per camera and axis."""
+    other = next(name for name in phases if name != own)
+    axis = axis_between_cameras(phases[other], rig.cameras[own], rig.cameras[other], subject)
+    phase, cameras = phases[own][axis], (rig.cameras[own], rig.cameras[other])
+    pairs = correspond(phase, phases[other][axis], *cameras, threads)
+    return Located(triangulate(pairs, *cameras, threads), phase, pairs.pixel_px, rig.projector)
+
+
+def locate_by_projector(
+    phases: Mapping[Axis, PhaseMap], own: Camera, projector: Camera, options: RejectOptions, subject: str, threads: int
+) -> Located:
+    """Return the points that the organising camera sees and the projector lights; `phases` are its own, per axis."""
+    found, phase, findings = _by_projector(phases, own, projector, options, subject, threads)
+    return Located(found, phase, None, None, findings)
+
+
+def fill_by_projector(
+    located: Located,
+    phases: Mapping[Axis, PhaseMap],
+    own: Camera,
+    projector: Camera,
+    period_px: float | None,
+    options: RejectOptions,
+    subject: str,
+    threads: int,
+) -> Located:
+    """Return the points with those added that the other camera does not see but the projector's calibration gives.
+
+    Parameters
+    ----------
+    located : Located
+        The points of both cameras.
+    phases : dict of PhaseMap
+        The organising camera's positions per axis, without errors of their wave form.
+    own, projector : Camera
+        Their calibration.
+    period_px : float or None
+        Finest fringe period: the projector may disagree as a function of the phase.
+    options : RejectOptions
+        Beyond `projector_px` the projector is not used.
+    subject : str
+        Named in errors.
+    threads : int
+        Number of threads.
+
+    Notes
+    -----
+    The systematic disagreement of the two, found from all points that both give, is added to sigma. Where it is larger
+    than is allowed, no point rests on the projector, nor does the projector check any.
+    """
+    # Only where a point is missing, and at a sample of the others.
+    wanted = np.isnan(located.points.sigma_mm)
+    wanted[::SAMPLE_STRIDE, ::SAMPLE_STRIDE] = True
+    located = replace(located, phase=phases[located.phase.axis])
+    phases = {axis: phase.without(~wanted, "unmatched") for axis, phase in phases.items()}
+    try:
+        found, phase, findings = _by_projector(phases, own, projector, options, subject, threads)
+    except InputError as error:
+        silent = Finding("projector against cameras", None, None, "projector px", error.found)
+        return replace(located, findings=(*located.findings, silent))
+    agreement = measure_agreement(located.points, found, phase, own, period_px)
+    against = _finding("projector against cameras", agreement, options.projector_px, "points that both cameras see")
+    located = replace(located, findings=(*located.findings, *findings, against))
+    if agreement.systematic_px is None:
+        return located
+    if agreement.systematic_px > options.projector_px:
+        return replace(located, third=None)
+    empty = np.isnan(located.points.sigma_mm) & np.isfinite(found.sigma_mm)
+    points, sigma, miss = (
+        np.array(x) for x in (located.points.points_sensor, located.points.sigma_mm, located.points.miss_px)
+    )
+    points[empty] = found.points_sensor[empty]
+    per_px = found.sigma_mm[empty] / phase.sigma_px[empty]
+    sigma[empty] = np.hypot(found.sigma_mm[empty], np.float32(agreement.systematic_px) * per_px)
+    miss[empty] = found.miss_px[empty]
+    return replace(located, points=TriangulatedPoints(points, sigma, miss))
+
+
+def _by_projector(
+    phases: Mapping[Axis, PhaseMap], own: Camera, projector: Camera, options: RejectOptions, subject: str, threads: int
+) -> tuple[ProjectorPoints, PhaseMap, tuple[Finding, ...]]:
+    axis = axis_to_projector(phases, own, projector, subject)
+    found, phase = intersect(phases, axis, own, projector, threads), phases[axis]
+    findings: tuple[Finding, ...] = ()
+    if len(phases) > 1:
+        agreement = systematic_miss(found)
+        findings = (_finding("row error against the projector", agreement, options.projector_px, "second axis"),)
+        # Where the calibration is off everywhere, a pixel's miss is no reason to reject that pixel.
+        allowed = options.projector_px + 2 * (agreement.systematic_px or 0.0)
+        wrong = found.contradiction(allowed, options.sigmas)
+        phase = phase.without(wrong, "mismatch")
+        for array in (found.points_sensor, found.sigma_mm):
+            array[wrong] = np.nan
+    # The limit of a miss between cameras knows nothing of noise: what is left here is within it.
+    return replace(found, miss_px=np.full_like(found.miss_px, np.nan)), phase, findings
+
+
+def _finding(quantity: str, agreement: Agreement, limit_px: float, source: str) -> Finding:
+    value, unit = agreement.systematic_px, "projector px"
+    if value is None:
+        return Finding(quantity, None, None, unit, f"too few points: {source}")
+    warning = ""
+    if value > limit_px:
+        warning = (
+            f"camera and projector contradict each other by {value:.2f} projector px beyond noise, rms over the image: "
+            "calibrate again, or check the projector's size and the sequence's cell_px and period_px"
+        )
+    return Finding(quantity, value, agreement.sigma_px, unit, source, warning)
