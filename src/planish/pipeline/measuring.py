@@ -15,8 +15,9 @@ from planish.errors import InputError
 from planish.measurement import Measurement
 from planish.options import Options, thread_count
 from planish.rig import Rig
-from planish.sensing.capture import Capture, ImageReader
-from planish.sensing.decode import DecodeOptions, PhaseMap
+from planish.sensing.capture import Box, Capture, ImageReader
+from planish.sensing.correlate import CorrelateOptions
+from planish.sensing.decode import DecodeOptions
 from planish.sensing.exposures import merge_exposures, split_exposures
 from planish.sensing.images import GreyImage
 from planish.sensing.locate import (
@@ -25,6 +26,7 @@ from planish.sensing.locate import (
     cameras_needed,
     fill_by_projector,
     locate_between_cameras,
+    locate_by_correlation,
     locate_by_projector,
 )
 from planish.sensing.observe import Observation, observe, with_phases
@@ -46,7 +48,7 @@ class MeasureOptions(Options):
         organising camera and the projector alone.
     texture_views : tuple of "A", "B"
         Cameras whose images may serve as texture, of those that the points rest on.
-    decode, reject
+    decode, correlate, reject
         Options of these stages.
     """
 
@@ -54,6 +56,7 @@ class MeasureOptions(Options):
     geometry: Geometry = "auto"
     texture_views: tuple[Literal["A", "B"], ...] = Field(default=("A", "B"), min_length=1)
     decode: DecodeOptions = DecodeOptions()
+    correlate: CorrelateOptions = CorrelateOptions()
     reject: RejectOptions = RejectOptions()
 
 
@@ -84,7 +87,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
     )
     seen = _observe(capture, rig, cameras, options, threads)
     seen = {name: straighten(item, layouts[0].codes, name) for name, item in seen.items()}
-    located = _locate(seen, rig, layouts[0], options, str(capture.path), threads)
+    located = _locate(seen, rig, layouts[0], capture.manifest.volume_mm, options, str(capture.path), threads)
     rejected = reject_points(
         located.points,
         located.phase,
@@ -111,8 +114,16 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
 
 
 def _locate(
-    seen: Mapping[str, Observation], rig: Rig, layout: Layout, options: MeasureOptions, subject: str, threads: int
+    seen: Mapping[str, Observation],
+    rig: Rig,
+    layout: Layout,
+    volume: Box | None,
+    options: MeasureOptions,
+    subject: str,
+    threads: int,
 ) -> Located:
+    if layout.statistical:
+        return locate_by_correlation(seen, rig, options.organise_on, volume, options.correlate, subject, threads)
     own, camera, projector = options.organise_on, rig.cameras[options.organise_on], rig.projector
     phases = {name: item.phases for name, item in seen.items()}
     if len(seen) == 1:
@@ -146,7 +157,7 @@ def _observe(
     for name, mask in masks.items():
         if mask is not None:
             _require_size(mask, f"{capture.path}: mask.{name}", name, rig.cameras[name].size_px)
-            seen[name] = with_phases(seen[name], partial(PhaseMap.without, pixels=~mask, reason="masked"))
+            seen[name] = seen[name].without(~mask)
     cut = partial(reject_edges, options=options.reject, threads=threads)
     return {name: with_phases(item, cut) for name, item in seen.items()}
 

@@ -9,13 +9,16 @@ from typing import Literal
 import numpy as np
 
 from planish.errors import InputError
-from planish.measurement import Finding, Map
+from planish.measurement import Finding, Map, rejection_bit
 from planish.rig import Camera, Rig
 from planish.sensing.agreement import SAMPLE_STRIDE, Agreement, measure_agreement, systematic_miss
 from planish.sensing.axes import axis_between_cameras, axis_to_projector
+from planish.sensing.capture import Box
+from planish.sensing.correlate import CorrelateOptions, correlate
 from planish.sensing.correspond import correspond
 from planish.sensing.decode import PhaseMap
 from planish.sensing.entries import Axis
+from planish.sensing.observe import Observation
 from planish.sensing.projector import ProjectorPoints, intersect
 from planish.sensing.reject import RejectOptions
 from planish.sensing.triangulate import TriangulatedPoints, triangulate
@@ -79,6 +82,39 @@ def locate_between_cameras(
     phase, cameras = phases[own][axis], (rig.cameras[own], rig.cameras[other])
     pairs = correspond(phase, phases[other][axis], *cameras, threads)
     return Located(triangulate(pairs, *cameras, threads), phase, pairs.pixel_px, rig.projector)
+
+
+def locate_by_correlation(
+    seen: Mapping[str, Observation],
+    rig: Rig,
+    own: str,
+    volume: Box | None,
+    options: CorrelateOptions,
+    subject: str,
+    threads: int,
+) -> Located:
+    """Return the points that both cameras see by statistical patterns, whose place in the projector nobody knows.
+
+    Raises
+    ------
+    InputError
+        Where there are images of one camera only.
+    """
+    if len(seen) == 1:
+        raise InputError(f"{subject}: sequence", "statistical patterns seen by one camera", "images of two cameras")
+    other = next(name for name in seen if name != own)
+    a, b, cameras = seen[own], seen[other], (rig.cameras[own], rig.cameras[other])
+    saturation = (a.view.saturation, b.view.saturation)
+    pairs, rejected = correlate(
+        a.patterns, b.patterns, *cameras, a.view.noise, b.view.noise, saturation, options, threads, volume
+    )
+    if a.excluded is not None:
+        rejected[a.excluded] = rejection_bit("masked")
+    # What is lit has a position; which, nobody knows.
+    lit = (rejected & rejection_bit("dark")) == 0
+    position = np.where(lit, np.float32(0), np.float32(np.nan))
+    phase = PhaseMap("u", position, np.zeros_like(position), rejected)
+    return Located(triangulate(pairs, *cameras, threads), phase, pairs.pixel_px, None)
 
 
 def locate_by_projector(

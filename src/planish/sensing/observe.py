@@ -7,8 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.measurement import Finding, Map, NoiseModel, View
+from planish.sensing.correlate import temporal_view
 from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.decode.average import mean_image
 from planish.sensing.decode.gray import gray_offset, gray_positions
@@ -33,11 +35,24 @@ class Observation:
         White, mean and modulation.
     findings : tuple of Finding
         What the images say about themselves.
+    patterns : tuple of ndarray (H, W)
+        The images of statistical patterns, which only both cameras together can make use of.
+    excluded : ndarray (H, W) bool or None
+        Pixels that the capture's mask excludes.
     """
 
     phases: dict[Axis, PhaseMap]
     view: View
     findings: tuple[Finding, ...] = ()
+    patterns: tuple[GreyImage, ...] = ()
+    excluded: NDArray[np.bool_] | None = None
+
+    def without(self, pixels: NDArray[np.bool_]) -> Observation:
+        """Return the observation with `pixels` (H, W) masked."""
+        masked = with_phases(self, lambda phase: phase.without(pixels, "masked"))
+        # Pixels that never change have no partner in the other camera.
+        patterns = tuple(np.where(pixels, np.zeros((), image.dtype), image) for image in self.patterns)
+        return replace(masked, patterns=patterns, excluded=pixels)
 
 
 @dataclass(frozen=True)
@@ -113,6 +128,8 @@ def _gray_offsets(stacks: Mapping[str, _Stack], layout: Layout, subject: str) ->
 def _observe(
     name: str, stack: _Stack, layout: Layout, offsets: Mapping[Axis, float], options: DecodeOptions, threads: int
 ) -> Observation:
+    if layout.statistical:
+        return _observe_patterns(stack, layout, threads)
     phases, means, modulations, counts = {}, [], [], []
     for code in layout.codes:
         if not code.periods:
@@ -138,6 +155,12 @@ def _observe(
     )
     gamma = gamma_finding(stack.images, layout, stack.noise, stack.saturation, name)
     return Observation(phases, view, () if gamma is None else (gamma,))
+
+
+def _observe_patterns(stack: _Stack, layout: Layout, threads: int) -> Observation:
+    patterns = tuple(stack.images[i] for i in layout.statistical)
+    view = temporal_view(patterns, stack.noise, stack.saturation, threads)
+    return Observation({}, replace(view, white=_white(stack.images, layout)), patterns=patterns)
 
 
 def _average(maps: Sequence[Map], counts: Sequence[int]) -> Map:
