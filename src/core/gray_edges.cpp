@@ -21,6 +21,8 @@ constexpr std::int32_t kMaxStep = 2;
 constexpr float kThresholdNoise = 4.84F;
 /// Edges this far apart [px] are blurred each for itself; nearer ones lean on each other.
 constexpr float kFreeSpacing = 3.0F;
+/// Below this spacing [px] a stripe is hardly wider than the blur, and the lean grows so many times as fast.
+constexpr float kNarrowSpacing = 1.2F, kNarrowGrowth = 2.0F;
 /// Successive edges nearer than this [px] have been swapped by noise.
 constexpr float kMinSpacing = 0.05F;
 
@@ -189,7 +191,9 @@ class Decoder {
             const Edge &a = line.edges[i], &b = line.edges[i + 1];
             const float spacing = b.at - a.at;
             if (a.chain != b.chain || std::abs(a.boundary - b.boundary) != 1 || spacing < kMinSpacing) continue;
-            const float lean = settings_.edge_bias_px * std::max(0.0F, 1 - spacing / kFreeSpacing), bias = lean * lean;
+            const float lean = settings_.edge_bias_px * (std::max(0.0F, 1 - spacing / kFreeSpacing) +
+                                                         kNarrowGrowth * std::max(0.0F, kNarrowSpacing - spacing));
+            const float bias = lean * lean;
             const auto first = static_cast<std::size_t>(std::ceil(a.at)), last = static_cast<std::size_t>(b.at);
             for (std::size_t u = first; u <= last && u < width_; ++u) {
                 const float w = (static_cast<float>(u) - a.at) / spacing, x = settings_.cell_px / spacing;

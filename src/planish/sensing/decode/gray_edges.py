@@ -22,8 +22,9 @@ MAX_SIGNAL_SIGMA = 0.2
 #: What the place of an edge is off where others blur into it (rms for the narrowest stripes that are still resolved,
 #: computed for a pixel and lenses of 0.3 to 1 px) [px]; falls to nothing at edges 3 px apart.
 EDGE_BIAS_PX = 0.02
-#: Bits whose signal reaches this nowhere are blurred away: finer than camera or projector resolve.
-MIN_SIGNAL = 0.25
+#: Bits whose signal hardly anywhere reaches this are finer than camera and projector resolve: their edges lean on each
+#: other by more than noise (with 0.25, stripes of 1.4 px were kept, and sigma was a third too small).
+MIN_SIGNAL = 0.4
 #: Every so many rows and columns serve to choose the bits and the direction of the lines.
 SAMPLE_STRIDE = 7
 
