@@ -21,6 +21,8 @@
 #include "core/grazing.hpp"
 #include "core/image.hpp"
 #include "core/islands.hpp"
+#include "core/noise_samples.hpp"
+#include "core/pages.hpp"
 #include "core/phase_edges.hpp"
 #include "core/repair_periods.hpp"
 #include "core/triangulate.hpp"
@@ -33,6 +35,8 @@ namespace {
 template <class T>
 using AnyIn = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
 template <class T>
+using InOut = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+template <class T>
 using AnyOut = nb::ndarray<nb::numpy, T>;
 using AnyImage = nb::ndarray<nb::ro, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
@@ -41,10 +45,9 @@ template <class T>
 AnyOut<T> make_array(std::initializer_list<std::size_t> shape) {
     std::size_t size = 1;
     for (const std::size_t n : shape) size *= n;
-    auto data = std::make_unique_for_overwrite<T[]>(size);
-    T* raw = data.release();
-    nb::capsule owner(raw, [](void* p) noexcept { delete[] static_cast<T*>(p); });
-    return AnyOut<T>(raw, shape.size(), shape.begin(), owner);
+    const planish::Pages pages = planish::allocate_pages(size * sizeof(T));
+    nb::capsule owner(pages.data, pages.free);
+    return AnyOut<T>(static_cast<T*>(pages.data), shape.size(), shape.begin(), owner);
 }
 
 /// View of an array (H, W) or (H, W, C) of any number of dimensions; an array of size 0 becomes an empty view.
@@ -92,31 +95,76 @@ bool is_8_bit(const std::vector<AnyImage>& images) {
     throw std::invalid_argument("images must be uint8 or uint16");
 }
 
+planish::DecodeSettings make_settings(const nb::dict& values) {
+    const auto number = [&](const char* name) { return nb::cast<float>(values[name]); };
+    planish::DecodeSettings settings;
+    settings.noise = {number("saturation"), number("noise_offset"), number("noise_slope")};
+    settings.max_phase_sigma_rad = number("max_phase_sigma_rad");
+    settings.coarse_offset_px = number("coarse_offset_px");
+    settings.coarse_limit_px = number("coarse_limit_px");
+    settings.range_start_px = number("range_start_px");
+    settings.range_length_px = number("range_length_px");
+    settings.reflection_sigmas = number("reflection_sigmas");
+    settings.averaged = nb::cast<std::vector<int>>(values["averaged"]);
+    const auto coefficients = nb::cast<std::vector<std::vector<int>>>(values["level_coefficients"]);
+    const auto periods = nb::cast<std::vector<float>>(values["level_periods_px"]);
+    for (std::size_t i = 0; i < periods.size(); ++i) settings.levels.push_back({coefficients[i], periods[i]});
+    const auto means = nb::cast<std::vector<std::vector<float>>>(values["expected_mean_px"]);
+    const auto folds = nb::cast<std::vector<int>>(values["expected_fold"]);
+    const auto variances = nb::cast<std::vector<float>>(values["expected_variance_px2"]);
+    for (std::size_t i = 0; i < means.size(); ++i) settings.expected.push_back({means[i], folds[i], variances[i]});
+    return settings;
+}
+
+/// Calls `use` with the steps of all periods, for the type of the images.
+template <class Use>
+void with_steps(const std::vector<AnyImage>& images, const std::vector<int>& counts,
+                const std::vector<float>& angles_cos, const std::vector<float>& angles_sin,
+                const std::vector<float>& periods, Use&& use) {
+    if (is_8_bit(images))
+        use(make_steps<std::uint8_t>(images, counts, angles_cos, angles_sin, periods));
+    else
+        use(make_steps<std::uint16_t>(images, counts, angles_cos, angles_sin, periods));
+}
+
 nb::tuple decode_phase(const std::vector<AnyImage>& images, const std::vector<int>& counts,
                        const std::vector<float>& angles_cos, const std::vector<float>& angles_sin,
-                       const std::vector<float>& periods, const AnyIn<float>& coarse, float saturation,
-                       float noise_offset, float noise_slope, float max_phase_sigma_rad, float coarse_limit_px,
-                       float range_start_px, float range_length_px, int threads) {
-    const bool narrow = is_8_bit(images);
+                       const std::vector<float>& periods, const AnyIn<float>& coarse, const nb::dict& settings,
+                       int threads) {
+    is_8_bit(images);
     const std::size_t h = images[0].shape(0), w = images[0].shape(1);
     auto position = make_array<float>({h, w}), sigma = make_array<float>({h, w}), mean = make_array<float>({h, w}),
          modulation = make_array<float>({h, w});
     auto rejected = make_array<std::uint16_t>({h, w});
-    const planish::DecodeSettings settings{saturation,      noise_offset,   noise_slope,    max_phase_sigma_rad,
-                                           coarse_limit_px, range_start_px, range_length_px};
+    const planish::DecodeSettings used = make_settings(settings);
     const planish::PhaseResult out{view_of(position), view_of(sigma), view_of(mean), view_of(modulation),
                                    view_of(rejected)};
     const auto coarse_view = view_of(coarse);
-    {
+    with_steps(images, counts, angles_cos, angles_sin, periods, [&](const auto& steps) {
         nb::gil_scoped_release release;
-        if (narrow)
-            planish::decode_phase(make_steps<std::uint8_t>(images, counts, angles_cos, angles_sin, periods),
-                                  coarse_view, settings, threads, out);
-        else
-            planish::decode_phase(make_steps<std::uint16_t>(images, counts, angles_cos, angles_sin, periods),
-                                  coarse_view, settings, threads, out);
-    }
+        planish::decode_phase(steps, coarse_view, used, threads, out);
+    });
     return nb::make_tuple(position, sigma, mean, modulation, rejected);
+}
+
+nb::tuple sample_disagreement(const std::vector<AnyImage>& images, const std::vector<int>& counts,
+                              const std::vector<float>& angles_cos, const std::vector<float>& angles_sin,
+                              const std::vector<float>& periods, const AnyIn<float>& coarse, const nb::dict& settings,
+                              const std::vector<int>& rows, int threads) {
+    is_8_bit(images);
+    const std::size_t w = images[0].shape(1);
+    const planish::DecodeSettings used = make_settings(settings);
+    const std::size_t steps_between = used.levels.size() - 1;
+    auto difference = make_array<float>({steps_between, rows.size(), w}),
+         sigma = make_array<float>({steps_between, rows.size(), w}),
+         cycles = make_array<float>({steps_between, rows.size(), w});
+    const planish::DisagreementSample out{view_of(difference), view_of(sigma), view_of(cycles)};
+    const auto coarse_view = view_of(coarse);
+    with_steps(images, counts, angles_cos, angles_sin, periods, [&](const auto& steps) {
+        nb::gil_scoped_release release;
+        planish::sample_disagreement(steps, coarse_view, used, rows, static_cast<int>(w), threads, out);
+    });
+    return nb::make_tuple(difference, sigma, cycles);
 }
 
 template <class T>
@@ -151,20 +199,47 @@ AnyOut<float> undistortion_shifts(const AnyIn<double>& camera, int height, int w
     return shifts;
 }
 
-nb::tuple repair_periods(const AnyIn<float>& position, const AnyIn<float>& sigma, const AnyIn<std::uint16_t>& rejected,
-                         float period_px, float tolerance_px, float sigmas, int threads) {
-    const std::size_t h = position.shape(0), w = position.shape(1);
-    auto new_position = make_array<float>({h, w}), new_sigma = make_array<float>({h, w});
-    auto new_rejected = make_array<std::uint16_t>({h, w});
+void repair_periods(const InOut<float>& position, const InOut<float>& sigma, const InOut<std::uint16_t>& rejected,
+                    float period_px, float tolerance_px, float sigmas, int reflection_pixels, int threads) {
     const auto p = view_of(position), s = view_of(sigma);
     const auto r = view_of(rejected);
-    const auto np = view_of(new_position), ns = view_of(new_sigma);
-    const auto nr = view_of(new_rejected);
+    nb::gil_scoped_release release;
+    planish::repair_periods(p, s, r, {period_px, tolerance_px, sigmas, reflection_pixels}, threads);
+}
+
+template <class V>
+AnyOut<V> to_array(const std::vector<V>& values) {
+    auto array = make_array<V>({values.size()});
+    std::copy(values.begin(), values.end(), array.data());
+    return array;
+}
+
+nb::tuple sample_noise(const std::vector<AnyImage>& images, const std::vector<float>& weights,
+                       const std::vector<int>& rows, bool along_rows, bool level_beside, float saturation) {
+    const int h = static_cast<int>(images.at(0).shape(0)), w = static_cast<int>(images.at(0).shape(1));
+    const auto sample = [&]<class T>(T) {
+        planish::NoiseContrast<T> contrast{{}, weights, rows, along_rows, level_beside, saturation};
+        for (const auto& image : images) contrast.images.push_back(static_cast<const T*>(image.data()));
+        return planish::sample_noise(contrast, h, w);
+    };
+    const bool narrow = is_8_bit(images);
+    planish::NoiseSamples found;
     {
         nb::gil_scoped_release release;
-        planish::repair_periods(p, s, r, period_px, tolerance_px, sigmas, threads, np, ns, nr);
+        found = narrow ? sample(std::uint8_t{}) : sample(std::uint16_t{});
     }
-    return nb::make_tuple(new_position, new_sigma, new_rejected);
+    return nb::make_tuple(to_array(found.level), to_array(found.residual));
+}
+
+nb::tuple bin_noise(const AnyIn<float>& level, const AnyIn<float>& residual, int bins, float clip_sigmas,
+                    float min_sigma) {
+    planish::NoiseBins found;
+    {
+        nb::gil_scoped_release release;
+        found = planish::bin_noise({level.data(), level.data() + level.size()},
+                                   {residual.data(), residual.data() + residual.size()}, bins, clip_sigmas, min_sigma);
+    }
+    return nb::make_tuple(to_array(found.level), to_array(found.variance), to_array(found.count));
 }
 
 AnyOut<std::uint8_t> phase_edges(const AnyIn<float>& position, const AnyIn<float>& sigma, float jump_px, float sigmas,
@@ -250,9 +325,12 @@ AnyOut<std::uint8_t> islands(const AnyIn<float>& depth, const AnyIn<float>& sigm
 
 void bind_sensing(nb::module_& m) {
     m.def("decode_phase", &decode_phase);
+    m.def("sample_disagreement", &sample_disagreement);
     m.def("decode_gray", &decode_gray);
     m.def("undistortion_shifts", &undistortion_shifts);
     m.def("repair_periods", &repair_periods);
+    m.def("sample_noise", &sample_noise);
+    m.def("bin_noise", &bin_noise);
     m.def("phase_edges", &phase_edges);
     m.def("correspond", &correspond);
     m.def("triangulate", &triangulate);

@@ -101,8 +101,8 @@ def _observe(
 ) -> Observation:
     phases, means, modulations, counts = {}, [], [], []
     for code in layout.codes:
-        coarse = stack.gray[code.axis] - np.float32(offsets[code.axis]) if code.gray is not None else None
-        found = decode(stack.images, code, stack.noise, stack.saturation, options, threads, coarse)
+        coarse, offset = stack.gray.get(code.axis), offsets.get(code.axis, 0.0)
+        found = decode(stack.images, code, stack.noise, stack.saturation, options, threads, coarse, offset)
         phases[code.axis], mean, modulation = found
         means.append(mean)
         modulations.append(modulation)

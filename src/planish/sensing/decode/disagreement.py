@@ -1,0 +1,104 @@
+"""How far the levels of a capture disagree without any inter-reflection: what noise and harmonics explain.
+
+Light that reaches a point over another one shifts long periods more than short ones: the second way starts far off, and
+short fringes cancel over the area that it comes from. But a gamma shifts them too, each by a function of its own phase
+that repeats N times a period (harmonics m N +- 1 of the wave appear as the first one, at m N times its phase). That
+function, and what else the bulk of the pixels disagrees by, is measured in the capture itself; only pixels that disagree
+far more are suspected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish import _core
+from planish.measurement import Map
+from planish.sensing.images import GreyImage
+from planish.sensing.sequence import AxisCode
+
+#: Rows of the image that are looked at, bins of the folded phase, and the least samples that say something.
+ROWS, BINS, MIN_SAMPLES = 24, 32, 1000
+#: Samples beyond so many standard deviations do not count in the means.
+CLIP_SIGMAS = 3.0
+#: Median of a squared normal variable of unit variance.
+MEDIAN_CHI_SQUARE = 0.4549
+NOTHING: Map = np.empty((0, 0), np.float32)
+
+
+@dataclass(frozen=True)
+class PhaseStack:
+    """The phase images of one axis and what they show, as the kernels want them."""
+
+    arguments: tuple[Any, ...]
+    height: int
+
+    @classmethod
+    def of(cls, images: Sequence[GreyImage], code: AxisCode, coarse_px: Map | None) -> Self:
+        """Return the stack of the phase images (H, W), in the order of `code`."""
+        angles = [angle for period in code.periods for angle in period.angles]
+        return cls(
+            (
+                list(images),
+                [len(period.images) for period in code.periods],
+                [float(np.cos(angle)) for angle in angles],
+                [float(np.sin(angle)) for angle in angles],
+                [period.period_px for period in code.periods],
+                NOTHING if coarse_px is None else coarse_px,
+            ),
+            images[0].shape[0],
+        )
+
+
+def expected_disagreement(
+    stack: PhaseStack, settings: dict[str, Any], code: AxisCode, threads: int
+) -> dict[str, list[Any]]:
+    """Return what neighbouring levels disagree by, for the settings of the kernel: one entry per step of the ladder."""
+    assert code.ladder is not None
+    coarser = code.ladder.levels[:-1]
+    found: dict[str, list[Any]] = {"expected_mean_px": [], "expected_fold": [], "expected_variance_px2": []}
+    if not coarser:
+        return found
+    rows = np.unique(np.linspace(0, stack.height - 1, ROWS).astype(int)).tolist()
+    sample = _core.sample_disagreement(*stack.arguments, settings | found, rows, threads)
+    for level, difference, sigma, cycles in zip(coarser, *sample, strict=True):
+        index = level.period_index
+        # The errors of a beat depend on several phases: no function of its own, only their spread counts.
+        fold = 0 if index is None else len(code.periods[index].images)
+        known = np.isfinite(difference)
+        mean, variance = _explained(difference[known], sigma[known], fold * cycles[known])
+        found["expected_mean_px"].append(mean)
+        found["expected_fold"].append(fold)
+        found["expected_variance_px2"].append(variance)
+    return found
+
+
+def _explained(difference: Map, sigma: Map, folded: Map) -> tuple[list[float], float]:
+    """Return the mean difference per bin of the folded phase, and the variance about it that noise does not explain."""
+    if len(difference) < MIN_SAMPLES:
+        return [0.0] * BINS, float("inf")
+    bins = np.clip(((folded - np.rint(folded) + np.float32(0.5)) * BINS).astype(np.intp), 0, BINS - 1)
+    mean = np.full(BINS, np.median(difference))
+    for _ in range(3):
+        rest = difference - mean[bins].astype(np.float32)
+        kept = np.abs(rest) <= CLIP_SIGMAS * 1.4826 * np.median(np.abs(rest))
+        count = np.bincount(bins[kept], minlength=BINS)
+        sums = np.bincount(bins[kept], difference[kept], BINS)
+        mean = np.where(count > 0, sums / np.maximum(count, 1), mean)
+    return mean.tolist(), _excess_variance((difference - mean[bins]) ** 2, sigma.astype(float) ** 2)
+
+
+def _excess_variance(squares: NDArray[np.float64], variance: NDArray[np.float64]) -> float:
+    """Return the variance that must be added for the median of squares / variance to be that of a normal variable."""
+    low, high = 0.0, float(np.median(squares)) / MEDIAN_CHI_SQUARE
+    if np.mean(squares <= MEDIAN_CHI_SQUARE * variance) >= 0.5:
+        return 0.0
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        below = np.mean(squares <= MEDIAN_CHI_SQUARE * (variance + middle)) < 0.5
+        low, high = (middle, high) if below else (low, middle)
+    return high
