@@ -62,18 +62,26 @@ std::vector<Step> make_steps(const DecodeSettings& settings, bool gray) {
 struct Block {
     std::vector<PeriodBlock> periods;
     LightBlock light;
-    alignas(64) BlockOf<float> position, cycles, coarser_cycles, difference, variance, weight;
+    alignas(64) BlockOf<float> position, difference, variance, weight;
+    alignas(64) std::array<BlockOf<float>, 2> beat;  ///< cycles of a level that is no single period, and of the next
+    const float* cycles = nullptr;                   ///< of the level
+    const float* coarser_cycles = nullptr;           ///< of the level before
 };
 
-/// Weighted sum over the periods of one of their values.
-void add_terms(const std::vector<Term>& terms, const std::vector<PeriodBlock>& periods,
-               BlockOf<float> PeriodBlock::* values, std::size_t count, float* __restrict out) {
-    std::fill_n(out, count, 0.0F);
-    for (const Term& term : terms) {
-        const float* __restrict value = (periods[term.period].*values).data();
-        const float weight = term.weight;
-        for (std::size_t u = 0; u < count; ++u) out[u] += weight * value[u];
+/// Weighted sum over the periods of one of their values, in `out`; or that value itself where nothing is to be summed.
+const float* sum_terms(const std::vector<Term>& terms, const std::vector<PeriodBlock>& periods,
+                       BlockOf<float> PeriodBlock::* values, std::size_t count, float* __restrict out) {
+    if (terms.empty()) std::fill_n(out, count, 0.0F);
+    for (std::size_t i = 0; i < terms.size(); ++i) {
+        const float* __restrict value = (periods[terms[i].period].*values).data();
+        const float weight = terms[i].weight;
+        if (terms.size() == 1 && weight == 1) return value;
+        if (i == 0)
+            for (std::size_t u = 0; u < count; ++u) out[u] = weight * value[u];
+        else
+            for (std::size_t u = 0; u < count; ++u) out[u] += weight * value[u];
     }
+    return out;
 }
 
 /// The first level, absolute: its positions lie within half a period of `middle`.
@@ -101,15 +109,14 @@ void unwrap(float period, float limit, std::size_t count, const float* __restric
 /// Suspects pixels whose levels disagree by more than noise and harmonics explain.
 void suspect(const Disagreement& expected, float sigmas, std::size_t count, const float* __restrict coarser_cycles,
              const float* __restrict variance, const float* __restrict difference, std::int32_t* __restrict rejected) {
-    const auto bins = static_cast<float>(expected.mean_px.size());
     const auto fold = static_cast<float>(expected.fold);
     const float floor = expected.variance_px2, limit = sigmas * sigmas;
     const float* __restrict mean = expected.mean_px.data();
-    const auto last = static_cast<std::int32_t>(expected.mean_px.size()) - 1;
     for (std::size_t u = 0; u < count; ++u) {
         const float folded = fold * coarser_cycles[u];
-        const auto bin = static_cast<std::int32_t>((folded - fast_round(folded) + 0.5F) * bins);
-        const float rest = difference[u] - mean[bin < 0 ? 0 : (bin > last ? last : bin)];
+        // -0.5 ... 0.5 becomes bin 0 ... kPhaseBins; the last is the first again.
+        const auto bin = static_cast<std::int32_t>((folded - fast_round(folded) + 0.5F) * kPhaseBins);
+        const float rest = difference[u] - mean[bin & (kPhaseBins - 1)];
         rejected[u] |= rest * rest > limit * (variance[u] + floor) ? kInterreflection : 0;
     }
 }
@@ -146,32 +153,37 @@ struct RowsOut {
     std::uint16_t* rejected;
 };
 
-/// Writes the block: NaN where rejected (doubtful pixels aside), moved into the range.
-void finish(const DecodeSettings& settings, float dark, float images, std::size_t count,
-            const float* __restrict finest_variance, const float* __restrict variance, const float* __restrict position,
-            const LightBlock& light, const RowsOut& out) {
-    const float start = settings.range_start_px, length = settings.range_length_px;
-    const float end = length > 0 ? start + length : std::numeric_limits<float>::infinity();
-    const float low = length > 0 ? start : -end, weight = 1 / images;
-    const std::int32_t* __restrict found = light.rejected.data();
-    const float* __restrict sum = light.sum.data();
-    const float* __restrict amplitudes = light.modulation.data();
-    float* __restrict out_position = out.position;
-    float* __restrict out_sigma = out.sigma;
-    float* __restrict out_mean = out.mean;
-    float* __restrict out_modulation = out.modulation;
-    std::uint16_t* __restrict out_rejected = out.rejected;
+/// Adds darkness to the reasons; what is rejected for another is not suspected of inter-reflection.
+void judge(float dark, std::size_t count, const float* __restrict finest_variance, std::int32_t* __restrict rejected) {
     for (std::size_t u = 0; u < count; ++u) {
-        const float x = position[u], moved = x < low ? x + length : (x >= end ? x - length : x);
-        std::int32_t reason = found[u] | (finest_variance[u] <= dark ? 0 : kDark);
-        reason = (reason & ~kDoubtful) != 0 || (reason & kSlip) != 0 ? reason & ~kInterreflection : reason;
-        const bool known = (reason & ~kDoubtful) == 0;
-        out_position[u] = known ? moved : kNaN;
-        out_sigma[u] = known ? std::sqrt(variance[u]) : kNaN;
-        out_mean[u] = weight * sum[u];
-        out_modulation[u] = weight * amplitudes[u];
-        out_rejected[u] = static_cast<std::uint16_t>(reason);
+        const std::int32_t reason = rejected[u] | (finest_variance[u] <= dark ? 0 : kDark);
+        const std::int32_t other = reason & ~kInterreflection;
+        rejected[u] = other != 0 ? other : reason;
     }
+}
+
+/// Positions moved into the range and their sigma; NaN where rejected, doubtful pixels aside.
+void write_positions(const DecodeSettings& settings, std::size_t count, const float* __restrict position,
+                     const float* __restrict variance, const std::int32_t* __restrict rejected,
+                     float* __restrict out_position, float* __restrict out_sigma) {
+    constexpr float kFar = std::numeric_limits<float>::infinity();
+    const float length = settings.range_length_px, low = length > 0 ? settings.range_start_px : -kFar;
+    const float end = length > 0 ? low + length : kFar;
+    for (std::size_t u = 0; u < count; ++u) {
+        const float gap = (rejected[u] & ~kDoubtful) != 0 ? kNaN : 0.0F;
+        const float x = position[u], up = x < low ? length : 0.0F, down = x >= end ? length : 0.0F;
+        out_position[u] = x + (up - down) + gap;
+        out_sigma[u] = std::sqrt(variance[u]) + gap;
+    }
+}
+
+void write_light(float images, std::size_t count, const float* __restrict sum, const float* __restrict amplitudes,
+                 const std::int32_t* __restrict rejected, float* __restrict mean, float* __restrict modulation,
+                 std::uint16_t* __restrict out_rejected) {
+    const float weight = 1 / images;
+    for (std::size_t u = 0; u < count; ++u) mean[u] = weight * sum[u];
+    for (std::size_t u = 0; u < count; ++u) modulation[u] = weight * amplitudes[u];
+    for (std::size_t u = 0; u < count; ++u) out_rejected[u] = static_cast<std::uint16_t>(rejected[u]);
 }
 
 /// Decodes blocks of pixels; one per thread.
@@ -197,16 +209,17 @@ class Decoder {
         for (std::size_t i = 0; i < solvers_.size(); ++i)
             solvers_[i]->solve(offset, count, block_.periods[i], block_.light);
         for (std::size_t j = 0; j < steps_.size(); ++j) {
-            if (j > 0) std::copy_n(block_.cycles.begin(), count, block_.coarser_cycles.begin());
-            add_terms(steps_[j].phase, block_.periods, &PeriodBlock::cycles, count, block_.cycles.data());
+            block_.coarser_cycles = block_.cycles;
+            block_.cycles =
+                sum_terms(steps_[j].phase, block_.periods, &PeriodBlock::cycles, count, block_.beat[j % 2].data());
             if (j == 0 && coarse_.empty()) {
                 place(steps_[0].period_px, settings_.range_start_px + 0.5F * steps_[0].period_px, count,
-                      block_.cycles.data(), block_.position.data());
+                      block_.cycles, block_.position.data());
                 continue;
             }
             if (j == 0) take_coarse(offset, count);
-            add_terms(steps_[j].difference, block_.periods, &PeriodBlock::variance, count, block_.variance.data());
-            unwrap(steps_[j].period_px, steps_[j].limit_px, count, block_.cycles.data(), block_.variance.data(),
+            sum_terms(steps_[j].difference, block_.periods, &PeriodBlock::variance, count, block_.variance.data());
+            unwrap(steps_[j].period_px, steps_[j].limit_px, count, block_.cycles, block_.variance.data(),
                    block_.position.data(), block_.difference.data(), block_.light.rejected.data());
             if (j > 0) after_step(j, block_);
         }
@@ -215,18 +228,22 @@ class Decoder {
     void decode(std::size_t offset, std::size_t count, const RowsOut& out) {
         unwrap_all(offset, count, [&](std::size_t level, Block& block) {
             if (!settings_.expected.empty())
-                suspect(settings_.expected[level - 1], settings_.reflection_sigmas, count, block.coarser_cycles.data(),
+                suspect(settings_.expected[level - 1], settings_.reflection_sigmas, count, block.coarser_cycles,
                         block.variance.data(), block.difference.data(), block.light.rejected.data());
         });
         const Term finest = steps_.back().phase.front();
         if (settings_.averaged.size() > 1)
             average(settings_.averaged, singles_, count, block_);
         else
-            add_terms({{finest.period, steps_.back().period_px * steps_.back().period_px}}, block_.periods,
+            sum_terms({{finest.period, steps_.back().period_px * steps_.back().period_px}}, block_.periods,
                       &PeriodBlock::variance, count, block_.variance.data());
         const float dark = settings_.max_phase_sigma_rad * kPerTurn;
-        finish(settings_, dark * dark, images_, count, block_.periods[finest.period].variance.data(),
-               block_.variance.data(), block_.position.data(), block_.light, out);
+        std::int32_t* rejected = block_.light.rejected.data();
+        judge(dark * dark, count, block_.periods[finest.period].variance.data(), rejected);
+        write_positions(settings_, count, block_.position.data(), block_.variance.data(), rejected, out.position,
+                        out.sigma);
+        write_light(images_, count, block_.light.sum.data(), block_.light.modulation.data(), rejected, out.mean,
+                    out.modulation, out.rejected);
     }
 
   private:

@@ -16,10 +16,12 @@ struct Level {
     float period_px = 0;
 };
 
+constexpr int kPhaseBins = 32;
+
 /// How far the positions of a level and the one before it disagree without any inter-reflection: the mean as a function
 /// of `fold` times the coarser level's phase (harmonics of N steps repeat N times a period), and the variance about it.
 struct Disagreement {
-    std::vector<float> mean_px;  ///< one value per bin of the folded phase
+    std::vector<float> mean_px;  ///< kPhaseBins values; the first bin begins at half a turn
     int fold = 1;
     float variance_px2 = 0;
 };

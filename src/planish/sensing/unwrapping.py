@@ -12,9 +12,15 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erfc
+
+Array = NDArray[np.float64]
+
 #: Largest coefficient of a level, by the number of periods; more of them make the candidates too many.
-LARGEST_COEFFICIENT = {1: 1, 2: 12, 3: 4, 4: 2}
-#: With still more periods, a level is made of so many of them at most.
+LARGEST_COEFFICIENT = {1: 1, 2: 12, 3: 4}
+#: With more periods, a level is made of so many of them at most, with coefficients up to 2: beats, and beats of beats.
 MOST_COMBINED = 3
 #: Standard deviations that half a period must hold: beyond, one pixel in 100,000 slips.
 SLIP_SIGMAS = 4.5
@@ -22,8 +28,8 @@ SLIP_SIGMAS = 4.5
 BEST_NOISE = 0.01
 #: A period takes part in the mean where it brings this share of the information of the best one.
 MIN_SHARE = 0.1
-#: Chance of a slip that one more level with a coefficient more is worth.
-SIMPLICITY = 1e-9
+#: Chance of a slip that a ladder may be worse by for one level, or one in a coefficient, less.
+SIMPLICITY = 1e-6
 #: Cells that may be missing before a level is too short for the projector (rounded periods).
 ROUNDING = 1e-6
 
@@ -95,17 +101,19 @@ def plan_levels(
     else:
         reach = cell_px
     levels = [level for level in candidates(periods_px) if level.period_px > last.period_px * (1 + ROUNDING)] + [last]
-    starts = [level for level in levels if level.period_px >= reach * (1 - ROUNDING)]
-    if cell_px is not None and len(wide := [level for level in starts if level.period_px >= 2 * cell_px]) > 0:
+    lengths = np.array([level.period_px for level in levels])
+    starts = lengths >= reach * (1 - ROUNDING)
+    if cell_px is not None and (wide := lengths >= 2 * cell_px).any():
         starts = wide  # Half a cell is then a quarter of a period at most: a wrong bit beside a border does no harm.
-    if not starts:
+    if not starts.any():
         return None
-    best = _widest(levels, starts, last, variances)
-    path = _safest(levels, starts, last, variances, best / SLIP_SIGMAS)
-    informative = [
-        i for i in range(len(steps)) if variances[finest] * last.period_px**2 >= MIN_SHARE * variances[i] * periods_px[i] ** 2
-    ]
-    return Ladder(tuple(path), tuple(informative), best / SLIP_SIGMAS)
+    easiness = _half_periods_in_sigmas(levels, variances)
+    path = [len(levels) - 1]
+    if not starts[-1]:
+        path = _safest(levels, easiness, starts, _hardest_step(easiness, starts) / SLIP_SIGMAS)
+    limit = min((easiness[c, f] for c, f in itertools.pairwise(path)), default=math.inf) / SLIP_SIGMAS
+    share = variances[finest] * last.period_px**2 / (np.array(variances) * np.array(periods_px) ** 2)
+    return Ladder(tuple(levels[i] for i in path), tuple(np.flatnonzero(share >= MIN_SHARE).tolist()), float(limit))
 
 
 def candidates(periods_px: Sequence[float]) -> list[Level]:
@@ -143,44 +151,36 @@ def _natural_reach(periods_px: Sequence[float]) -> float:
     return reach
 
 
-def _half_period_in_sigmas(coarse: Level, fine: Level, variances: Sequence[float]) -> float:
-    """Return half a period of the finer level over the standard deviation of the step, at noise = amplitude."""
-    square = sum(
-        (coarse.period_px * c - fine.period_px * f) ** 2 * variance
-        for c, f, variance in zip(coarse.coefficients, fine.coefficients, variances, strict=True)
-    )
-    return 0.5 * fine.period_px * 2 * math.pi / math.sqrt(square)
+def _half_periods_in_sigmas(levels: Sequence[Level], variances: Sequence[float]) -> Array:
+    """Return half a period of level f over the standard deviation of the step from c (c, f), at noise = amplitude."""
+    # Position of a level by period: P a_i phi_i / (2 pi).
+    gains = np.array([level.period_px / (2 * np.pi) * np.array(level.coefficients, float) for level in levels])
+    periods = np.array([level.period_px for level in levels])
+    square = sum(v * (g[:, None] - g[None, :]) ** 2 for v, g in zip(variances, gains.T, strict=True))
+    longer = periods[:, None] > periods[None, :] * (1 + ROUNDING)
+    return np.where(longer, 0.5 * periods / np.sqrt(np.where(longer, square, 1.0)), 0.0)
 
 
-def _widest(levels: Sequence[Level], starts: Sequence[Level], last: Level, variances: Sequence[float]) -> float:
-    """Return the hardest step of the ladder whose hardest step is the easiest."""
-    best = {level: math.inf if level in starts else 0.0 for level in levels}
-    for i, fine in enumerate(levels):
-        for coarse in levels[:i]:
-            if best[coarse] > best[fine] and coarse.period_px > fine.period_px * (1 + ROUNDING):
-                best[fine] = max(best[fine], min(best[coarse], _half_period_in_sigmas(coarse, fine, variances)))
-    return best[last]
+def _hardest_step(easiness: Array, starts: NDArray[np.bool_]) -> float:
+    """Return the easiness of the hardest step of that ladder to the last level whose hardest step is the easiest."""
+    best = np.where(starts, np.inf, 0.0)
+    for fine in range(1, len(best)):
+        best[fine] = max(best[fine], np.minimum(best[:fine], easiness[:fine, fine]).max())
+    return float(best[-1])
 
 
-def _safest(
-    levels: Sequence[Level], starts: Sequence[Level], last: Level, variances: Sequence[float], noise: float
-) -> list[Level]:
-    """Return the ladder with the smallest sum of the chances of a slip, the simplest of those that are equal."""
-    cost = {level: _complexity(level) if level in starts else math.inf for level in levels}
-    before: dict[Level, Level] = {}
-    for i, fine in enumerate(levels):
-        for coarse in levels[:i]:
-            if cost[coarse] >= cost[fine] or coarse.period_px <= fine.period_px * (1 + ROUNDING):
-                continue
-            sigmas = _half_period_in_sigmas(coarse, fine, variances) / noise if math.isfinite(noise) else math.inf
-            through = cost[coarse] + math.erfc(sigmas / math.sqrt(2)) + _complexity(fine)
-            if through < cost[fine]:
-                cost[fine], before[fine] = through, coarse
-    path = [last]
-    while path[0] in before:
-        path.insert(0, before[path[0]])
+def _safest(levels: Sequence[Level], easiness: Array, starts: NDArray[np.bool_], noise: float) -> list[int]:
+    """Return the ladder with the smallest sum of the chances of a slip, the simplest of those that are about equal."""
+    price = SIMPLICITY * np.array([sum(map(abs, level.coefficients)) for level in levels])
+    chance = erfc(easiness / (noise * np.sqrt(2))) + price
+    chance[easiness == 0] = np.inf
+    cost, before = np.where(starts, price, np.inf), np.full(len(levels), -1)
+    for fine in range(1, len(levels)):
+        through = cost[:fine] + chance[:fine, fine]
+        coarse = int(np.argmin(through))
+        if through[coarse] < cost[fine]:
+            cost[fine], before[fine] = through[coarse], coarse
+    path = [len(levels) - 1]
+    while before[path[0]] >= 0:
+        path.insert(0, int(before[path[0]]))
     return path
-
-
-def _complexity(level: Level) -> float:
-    return SIMPLICITY * sum(abs(a) for a in level.coefficients)

@@ -14,15 +14,16 @@ from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish import _core
 from planish.measurement import Map
 from planish.sensing.images import GreyImage
 from planish.sensing.sequence import AxisCode
 
-#: Rows of the image that are looked at, bins of the folded phase, and the least samples that say something.
-ROWS, BINS, MIN_SAMPLES = 24, 32, 1000
+#: Rows of the image that are looked at, samples that are enough, the least that say something.
+ROWS, SAMPLES, MIN_SAMPLES = 16, 12000, 1000
+#: Bins of the folded phase (kPhaseBins of the kernel).
+BINS = 32
 #: Samples beyond so many standard deviations do not count in the means.
 CLIP_SIGMAS = 3.0
 #: Median of a squared normal variable of unit variance.
@@ -69,8 +70,11 @@ def expected_disagreement(
         index = level.period_index
         # The errors of a beat depend on several phases: no function of its own, only their spread counts.
         fold = 0 if index is None else len(code.periods[index].images)
-        known = np.isfinite(difference)
-        mean, variance = _explained(difference[known], sigma[known], fold * cycles[known])
+        known = np.flatnonzero(np.isfinite(difference))
+        known = known[:: max(1, len(known) // SAMPLES)]
+        mean, variance = _explained(
+            difference.ravel()[known], sigma.ravel()[known], np.float32(fold) * cycles.ravel()[known]
+        )
         found["expected_mean_px"].append(mean)
         found["expected_fold"].append(fold)
         found["expected_variance_px2"].append(variance)
@@ -81,18 +85,18 @@ def _explained(difference: Map, sigma: Map, folded: Map) -> tuple[list[float], f
     """Return the mean difference per bin of the folded phase, and the variance about it that noise does not explain."""
     if len(difference) < MIN_SAMPLES:
         return [0.0] * BINS, float("inf")
-    bins = np.clip(((folded - np.rint(folded) + np.float32(0.5)) * BINS).astype(np.intp), 0, BINS - 1)
-    mean = np.full(BINS, np.median(difference))
+    bins = ((folded - np.rint(folded) + np.float32(0.5)) * BINS).astype(np.intp) & (BINS - 1)
+    mean = np.full(BINS, np.median(difference), np.float32)
     for _ in range(3):
-        rest = difference - mean[bins].astype(np.float32)
-        kept = np.abs(rest) <= CLIP_SIGMAS * 1.4826 * np.median(np.abs(rest))
-        count = np.bincount(bins[kept], minlength=BINS)
-        sums = np.bincount(bins[kept], difference[kept], BINS)
-        mean = np.where(count > 0, sums / np.maximum(count, 1), mean)
-    return mean.tolist(), _excess_variance((difference - mean[bins]) ** 2, sigma.astype(float) ** 2)
+        rest = np.abs(difference - mean[bins])
+        # Bins without good samples keep what they had.
+        kept = (rest <= CLIP_SIGMAS * 1.4826 * np.median(rest)).astype(float)
+        count, sums = np.bincount(bins, kept, BINS), np.bincount(bins, kept * difference, BINS)
+        mean = np.where(count > 0, sums / np.maximum(count, 1), mean).astype(np.float32)
+    return mean.tolist(), _excess_variance((difference - mean[bins]) ** 2, sigma**2)
 
 
-def _excess_variance(squares: NDArray[np.float64], variance: NDArray[np.float64]) -> float:
+def _excess_variance(squares: Map, variance: Map) -> float:
     """Return the variance that must be added for the median of squares / variance to be that of a normal variable."""
     low, high = 0.0, float(np.median(squares)) / MEDIAN_CHI_SQUARE
     if np.mean(squares <= MEDIAN_CHI_SQUARE * variance) >= 0.5:
