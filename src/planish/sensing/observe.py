@@ -82,7 +82,7 @@ def observe(
 
 
 def _stack(images: Sequence[GreyImage], layout: Layout, threads: int) -> _Stack:
-    saturation = full_scale(images)
+    saturation = full_scale(images, layout)
     gray = {code.axis: gray_positions(images, code, layout, threads) for code in layout.codes if code.gray is not None}
     return _Stack(images, saturation, estimate_noise(images, layout, saturation), gray)
 

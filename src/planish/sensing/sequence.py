@@ -19,6 +19,7 @@ class PeriodSteps:
     period_px: float
     sign: int
     images: tuple[int, ...]
+    wave: str = "sine"
 
     @property
     def angles(self) -> np.ndarray:
@@ -206,7 +207,7 @@ def _period(subject: str, period_px: float, phases: list[tuple[int, Phase]]) -> 
             f"period {period_px:g} px has steps {sorted(e.step for _, e in found)} of {steps}",
             f"each step 0 ... {steps - 1} once, with one number of steps and one sign",
         )
-    return PeriodSteps(period_px, sign, tuple(by_step[k] for k in range(steps)))
+    return PeriodSteps(period_px, sign, tuple(by_step[k] for k in range(steps)), found[0][1].wave)
 
 
 def _gray(subject: str, grays: list[tuple[int, Gray]]) -> GrayCode:

@@ -21,7 +21,7 @@ from planish.sensing.images import GreyImage
 from planish.sensing.sequence import AxisCode
 
 #: Rows of the image that are looked at, samples that are enough, the least that say something.
-ROWS, SAMPLES, MIN_SAMPLES = 16, 12000, 1000
+ROWS, SAMPLES, MIN_SAMPLES = 16, 6000, 500
 #: Bins of the folded phase (kPhaseBins of the kernel).
 BINS = 32
 #: Samples beyond so many standard deviations do not count in the means.
