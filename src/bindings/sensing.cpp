@@ -164,10 +164,8 @@ nb::tuple sample_disagreement(const std::vector<AnyImage>& images, const std::ve
     is_8_bit(images);
     const std::size_t w = images[0].shape(1);
     const planish::DecodeSettings used = make_settings(settings);
-    const std::size_t steps_between = used.levels.size() - 1;
-    auto difference = make_array<float>({steps_between, rows.size(), w}),
-         sigma = make_array<float>({steps_between, rows.size(), w}),
-         cycles = make_array<float>({steps_between, rows.size(), w});
+    auto difference = make_array<float>({rows.size(), w}), sigma = make_array<float>({rows.size(), w}),
+         cycles = make_array<float>({rows.size(), w});
     const planish::DisagreementSample out{view_of(difference), view_of(sigma), view_of(cycles)};
     const auto coarse_view = view_of(coarse);
     with_steps(images, counts, angles_cos, angles_sin, periods, [&](const auto& steps) {

@@ -13,8 +13,9 @@ namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kPerTurn = static_cast<float>(0.5 * std::numbers::inv_pi);
-/// A slip by one period needs half a period of error: kept at 4.5 standard deviations.
-constexpr float kMaxUnwrapSigma = 0.5F / 4.5F;
+/// A slip by one period needs half a period of error: kept at 3 standard deviations. One pixel in 400 that is as dark as
+/// that slips; its neighbours correct it, which they cannot where all of them are rejected.
+constexpr float kMaxUnwrapSigma = 0.5F / 3.0F;
 /// Largest difference of two neighbouring levels' positions, in periods: half of the way to a slip.
 constexpr float kMaxUnwrapDifference = 0.25F;
 /// The position of these is known; only the named criteria contradict.
@@ -106,19 +107,25 @@ void unwrap(float period, float limit, std::size_t count, const float* __restric
     }
 }
 
-/// Suspects pixels whose levels disagree by more than noise and harmonics explain.
-void suspect(const Disagreement& expected, float sigmas, std::size_t count, const float* __restrict coarser_cycles,
-             const float* __restrict variance, const float* __restrict difference, std::int32_t* __restrict rejected) {
+/// Takes from the coarser position what its harmonics shift it by.
+void correct(const Disagreement& expected, std::size_t count, const float* __restrict coarser_cycles,
+             float* __restrict position) {
     const auto fold = static_cast<float>(expected.fold);
-    const float floor = expected.variance_px2, limit = sigmas * sigmas;
     const float* __restrict mean = expected.mean_px.data();
     for (std::size_t u = 0; u < count; ++u) {
         const float folded = fold * coarser_cycles[u];
         // -0.5 ... 0.5 becomes bin 0 ... kPhaseBins; the last is the first again.
         const auto bin = static_cast<std::int32_t>((folded - fast_round(folded) + 0.5F) * kPhaseBins);
-        const float rest = difference[u] - mean[bin & (kPhaseBins - 1)];
-        rejected[u] |= rest * rest > limit * (variance[u] + floor) ? kInterreflection : 0;
+        position[u] -= mean[bin & (kPhaseBins - 1)];
     }
+}
+
+/// Suspects pixels whose levels disagree by more than noise and harmonics explain.
+void suspect(float excess_variance, float sigmas, std::size_t count, const float* __restrict variance,
+             const float* __restrict difference, std::int32_t* __restrict rejected) {
+    const float limit = sigmas * sigmas;
+    for (std::size_t u = 0; u < count; ++u)
+        rejected[u] |= difference[u] * difference[u] > limit * (variance[u] + excess_variance) ? kInterreflection : 0;
 }
 
 /// Weighted mean of the positions by several periods, whose whole periods the finest position tells.
@@ -218,19 +225,20 @@ class Decoder {
                 continue;
             }
             if (j == 0) take_coarse(offset, count);
+            const Disagreement* expected = j > 0 && j <= settings_.expected.size() ? &settings_.expected[j - 1] : nullptr;
+            if (expected != nullptr) correct(*expected, count, block_.coarser_cycles, block_.position.data());
             sum_terms(steps_[j].difference, block_.periods, &PeriodBlock::variance, count, block_.variance.data());
             unwrap(steps_[j].period_px, steps_[j].limit_px, count, block_.cycles, block_.variance.data(),
                    block_.position.data(), block_.difference.data(), block_.light.rejected.data());
+            if (expected != nullptr)
+                suspect(expected->variance_px2, settings_.reflection_sigmas, count, block_.variance.data(),
+                        block_.difference.data(), block_.light.rejected.data());
             if (j > 0) after_step(j, block_);
         }
     }
 
     void decode(std::size_t offset, std::size_t count, const RowsOut& out) {
-        unwrap_all(offset, count, [&](std::size_t level, Block& block) {
-            if (!settings_.expected.empty())
-                suspect(settings_.expected[level - 1], settings_.reflection_sigmas, count, block.coarser_cycles,
-                        block.variance.data(), block.difference.data(), block.light.rejected.data());
-        });
+        unwrap_all(offset, count, [](std::size_t, const Block&) {});
         const Term finest = steps_.back().phase.front();
         if (settings_.averaged.size() > 1)
             average(settings_.averaged, singles_, count, block_);
@@ -288,9 +296,12 @@ void sample_disagreement(const std::vector<PhaseSteps<T>>& steps, Image<const fl
             for (std::size_t u0 = 0; u0 < columns; u0 += kBlock) {
                 const std::size_t count = std::min(kBlock, columns - u0);
                 decoder->unwrap_all(rows[r] * columns + u0, count, [&](std::size_t level, const Block& block) {
-                    const std::size_t at = ((level - 1) * rows.size() + r) * columns + u0;
+                    if (level != settings.expected.size() + 1) return;
+                    const float worst = kMaxUnwrapSigma * settings.levels[level].period_px;
+                    const std::size_t at = r * columns + u0;
                     for (std::size_t u = 0; u < count; ++u) {
-                        const bool usable = block.light.rejected[u] == 0;
+                        const bool usable = (block.light.rejected[u] & ~kDoubtful) == 0 &&
+                                            block.variance[u] <= worst * worst;
                         out.difference_px.data[at + u] = usable ? block.difference[u] : kNaN;
                         out.sigma_px.data[at + u] = std::sqrt(block.variance[u]);
                         out.cycles.data[at + u] = block.coarser_cycles[u];

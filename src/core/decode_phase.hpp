@@ -19,7 +19,8 @@ struct Level {
 constexpr int kPhaseBins = 32;
 
 /// How far the positions of a level and the one before it disagree without any inter-reflection: the mean as a function
-/// of `fold` times the coarser level's phase (harmonics of N steps repeat N times a period), and the variance about it.
+/// of `fold` times the coarser level's phase (harmonics of N steps repeat N times a period), which is taken from the
+/// coarser position, and the variance about it.
 struct Disagreement {
     std::vector<float> mean_px;  ///< kPhaseBins values; the first bin begins at half a turn
     int fold = 1;
@@ -34,7 +35,7 @@ struct DecodeSettings {
     float range_start_px = 0, range_length_px = 0;  ///< length > 0: positions are moved by it into this range
     std::vector<Level> levels;                      ///< from the coarsest to the finest, which is a single period
     std::vector<int> averaged;                      ///< periods whose weighted mean is the position; else the last level
-    std::vector<Disagreement> expected;             ///< per level but the first; empty: inter-reflection is not looked for
+    std::vector<Disagreement> expected;             ///< per level from the second on, as far as it is known
     float reflection_sigmas = 0;                    ///< what disagrees by more is suspected of inter-reflection
 };
 
@@ -51,14 +52,14 @@ template <class T>
 void decode_phase(const std::vector<PhaseSteps<T>>& steps, Image<const float> coarse, const DecodeSettings& settings,
                   int threads, const PhaseResult& out);
 
-/// What the levels of some rows say about each other; arrays (levels - 1, rows, width), NaN where unusable.
+/// What a level and the one before it say about each other in some rows; maps (rows, width).
 struct DisagreementSample {
-    Image<float> difference_px;  ///< of the coarser position and this level's; height = (levels - 1) rows
-    Image<float> sigma_px;       ///< by noise alone
+    Image<float> difference_px;  ///< coarser position minus this level's; NaN where unusable
+    Image<float> sigma_px;       ///< of it by noise alone
     Image<float> cycles;         ///< the coarser level's phase / (2 pi)
 };
 
-/// Disagreement of the levels in the given rows of the images.
+/// Disagreement, in the given rows of the images, of the first level of which none is expected yet.
 template <class T>
 void sample_disagreement(const std::vector<PhaseSteps<T>>& steps, Image<const float> coarse,
                          const DecodeSettings& settings, const std::vector<int>& rows, int width, int threads,

@@ -15,6 +15,8 @@ namespace {
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 /// Neighbours that must agree to correct a pixel, and to call it a slip.
 constexpr int kMinToCorrect = 5, kMinToReject = 3;
+/// A pixel with more neighbours at its own position is no slip but the corner of a surface.
+constexpr int kMaxAllies = 1;
 constexpr float kMaxTolerancePeriods = 0.25F;
 
 struct Maps {
@@ -42,10 +44,11 @@ Neighbours gather(const Maps& maps, int v, int u) {
     return found;
 }
 
-/// Whole periods too many by the median of the neighbours, and how many of them say so (0: they do not tell).
+/// Whole periods too many by the median of the neighbours, how many of them say so (0: they do not tell), and how many
+/// side with the pixel itself.
 struct Surplus {
     float periods = 0;
-    int witnesses = 0;
+    int witnesses = 0, allies = 0;
 };
 
 Surplus surplus_periods(Neighbours near, float position, float period, float tolerance) {
@@ -54,8 +57,11 @@ Surplus surplus_periods(Neighbours near, float position, float period, float tol
     std::nth_element(near.position.begin(), middle, end);
     const float median = *middle, periods = std::round((position - median) / period);
     if (!(std::fabs(position - median - periods * period) <= tolerance)) return {};
-    const auto alike = [&](float other) { return std::fabs(other - median) <= 2 * tolerance; };
-    return {periods, static_cast<int>(std::count_if(near.position.begin(), end, alike))};
+    const auto count = [&](float like) {
+        const auto alike = [&](float other) { return std::fabs(other - like) <= 2 * tolerance; };
+        return static_cast<int>(std::count_if(near.position.begin(), end, alike));
+    };
+    return {periods, count(median), count(position)};
 }
 
 int count_suspects(const Image<std::uint16_t>& rejected, int v, int u) {
@@ -75,7 +81,7 @@ void find_doubtful(float near, int width, const float* __restrict p, const std::
     };
     for (int u = 1; u < width - 1; ++u) {
         // Not a short circuit, so that the loop vectorises.
-        const int alike = static_cast<int>(std::fabs(p[u] - p[u - 1]) <= near) |
+        const int alike = static_cast<int>(std::fabs(p[u] - p[u - 1]) <= near) &
                           static_cast<int>(std::fabs(p[u] - p[u + 1]) <= near);
         const int marked = static_cast<int>(reason[u] == kSlip) | static_cast<int>(reason[u] == kInterreflection);
         doubtful[u] = static_cast<std::uint8_t>(marked | (static_cast<int>(reason[u] == 0) & (alike ^ 1)));
@@ -96,9 +102,12 @@ void decide(const Maps& maps, const RepairLimits& limits, int v, int u, std::vec
     const float tolerance = std::min(std::max(limits.tolerance_px, limits.sigmas * *maps.sigma.at(v, u)),
                                      kMaxTolerancePeriods * limits.period_px);
     const Surplus found = surplus_periods(gather(maps, v, u), position, limits.period_px, tolerance);
-    if (found.witnesses >= kMinToCorrect)
+    const bool slipped = found.periods != 0 && (reason == kSlip || found.allies <= kMaxAllies);
+    if (reason == kSlip && found.periods == 0 && found.witnesses >= kMinToCorrect)
+        decisions.push_back({pixel, position, 0});
+    else if (slipped && found.witnesses >= kMinToCorrect)
         decisions.push_back({pixel, position - found.periods * limits.period_px, 0});
-    else if (reason == kSlip || (found.witnesses >= kMinToReject && found.periods != 0))
+    else if (reason == kSlip || (slipped && found.witnesses >= kMinToReject))
         decisions.push_back({pixel, kNaN, kSlip});
 }
 

@@ -16,9 +16,11 @@ struct RepairLimits {
 
 /// Decides about doubtful pixels from their neighbours, in place; no phase is changed.
 ///
-/// A pixel is looked at where it is rejected as a slip alone, or where it differs from the pixels to its left and right
-/// by more than a quarter of a period. Where at least five valid neighbours agree, and the pixel agrees with their median
-/// up to whole periods, it takes the median's periods. Fewer (three) that agree and lie whole periods away make it a slip.
+/// A pixel is looked at where it is rejected as a slip alone, or where it differs from the pixel to its left or right by
+/// more than a quarter of a period. Where at least five valid neighbours agree, and the pixel agrees with their median up
+/// to whole periods, it takes the median's periods; a pixel that was not rejected only if no more than one neighbour is
+/// at its own position (two slips side by side; else it is the corner of a surface). Three that agree and lie whole
+/// periods away make it a slip.
 /// Slips that stay, and pixels suspected of inter-reflection among enough others, are rejected for good (NaN); the
 /// other suspects are acquitted.
 void repair_periods(Image<float> position_px, Image<float> sigma_px, Image<std::uint16_t> rejected,

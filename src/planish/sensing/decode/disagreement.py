@@ -9,6 +9,7 @@ far more are suspected.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -60,40 +61,47 @@ def expected_disagreement(
 ) -> dict[str, list[Any]]:
     """Return what neighbouring levels disagree by, for the settings of the kernel: one entry per step of the ladder."""
     assert code.ladder is not None
-    coarser = code.ladder.levels[:-1]
     found: dict[str, list[Any]] = {"expected_mean_px": [], "expected_fold": [], "expected_variance_px2": []}
-    if not coarser:
-        return found
     rows = np.unique(np.linspace(0, stack.height - 1, ROWS).astype(int)).tolist()
-    sample = _core.sample_disagreement(*stack.arguments, settings | found, rows, threads)
-    for level, difference, sigma, cycles in zip(coarser, *sample, strict=True):
+    for level, finer in itertools.pairwise(code.ladder.levels):
+        difference, sigma, cycles = _core.sample_disagreement(*stack.arguments, settings | found, rows, threads)
         index = level.period_index
         # The errors of a beat depend on several phases: no function of its own, only their spread counts.
         fold = 0 if index is None else len(code.periods[index].images)
         known = np.flatnonzero(np.isfinite(difference))
         known = known[:: max(1, len(known) // SAMPLES)]
-        mean, variance = _explained(
-            difference.ravel()[known], sigma.ravel()[known], np.float32(fold) * cycles.ravel()[known]
-        )
+        chosen = [values.ravel()[known] for values in (difference, sigma, np.float32(fold) * cycles)]
+        mean, variance = _explained(chosen[0], chosen[1], chosen[2], finer.period_px)
         found["expected_mean_px"].append(mean)
         found["expected_fold"].append(fold)
         found["expected_variance_px2"].append(variance)
     return found
 
 
-def _explained(difference: Map, sigma: Map, folded: Map) -> tuple[list[float], float]:
-    """Return the mean difference per bin of the folded phase, and the variance about it that noise does not explain."""
+def _explained(difference: Map, sigma: Map, folded: Map, period: float) -> tuple[list[float], float]:
+    """Return the mean difference per bin of the folded phase, and the variance about it that noise does not explain.
+
+    Differences are known up to whole periods of the finer level: the mean begins as a circular one.
+    """
     if len(difference) < MIN_SAMPLES:
         return [0.0] * BINS, float("inf")
     bins = ((folded - np.rint(folded) + np.float32(0.5)) * BINS).astype(np.intp) & (BINS - 1)
-    mean = np.full(BINS, np.median(difference), np.float32)
-    for _ in range(3):
-        rest = np.abs(difference - mean[bins])
-        # Bins without good samples keep what they had.
-        kept = (rest <= CLIP_SIGMAS * 1.4826 * np.median(rest)).astype(float)
-        count, sums = np.bincount(bins, kept, BINS), np.bincount(bins, kept * difference, BINS)
-        mean = np.where(count > 0, sums / np.maximum(count, 1), mean).astype(np.float32)
-    return mean.tolist(), _excess_variance((difference - mean[bins]) ** 2, sigma**2)
+    angle = difference * np.float32(2 * np.pi / period)
+    sums = np.bincount(bins, np.cos(angle), BINS) + 1j * np.bincount(bins, np.sin(angle), BINS)
+    # Bins without samples take what the rest has.
+    sums[sums == 0] = sums.sum()
+    mean = (np.angle(sums) * period / (2 * np.pi)).astype(np.float32)
+    for _ in range(2):
+        rest = _wrapped(difference - mean[bins], period)
+        kept = (np.abs(rest) <= CLIP_SIGMAS * 1.4826 * np.median(np.abs(rest))).astype(float)
+        count = np.bincount(bins, kept, BINS)
+        mean += (np.bincount(bins, kept * rest, BINS) / np.maximum(count, 1)).astype(np.float32)
+    rest = _wrapped(difference - mean[bins], period)
+    return mean.tolist(), _excess_variance(rest**2, sigma**2)
+
+
+def _wrapped(values: Map, period: float) -> Map:
+    return values - np.float32(period) * np.rint(values / np.float32(period))
 
 
 def _excess_variance(squares: Map, variance: Map) -> float:
