@@ -119,10 +119,14 @@ planish::DecodeSettings make_settings(const nb::dict& values) {
     const auto coefficients = nb::cast<std::vector<std::vector<int>>>(values["level_coefficients"]);
     const auto periods = nb::cast<std::vector<float>>(values["level_periods_px"]);
     for (std::size_t i = 0; i < periods.size(); ++i) settings.levels.push_back({coefficients[i], periods[i]});
-    const auto means = nb::cast<std::vector<std::vector<float>>>(values["expected_mean_px"]);
-    const auto folds = nb::cast<std::vector<int>>(values["expected_fold"]);
-    const auto variances = nb::cast<std::vector<float>>(values["expected_variance_px2"]);
-    for (std::size_t i = 0; i < means.size(); ++i) settings.expected.push_back({means[i], folds[i], variances[i]});
+    for (const auto entry : nb::cast<nb::list>(values["expected"])) {
+        const auto expected = nb::cast<nb::dict>(entry);
+        const auto shift = [&](const char* name, const char* fold) {
+            return planish::PhaseFunction{nb::cast<std::vector<float>>(expected[name]), nb::cast<int>(expected[fold])};
+        };
+        settings.expected.push_back({shift("coarser_px", "coarser_fold"), shift("finer_px", "finer_fold"),
+                                     nb::cast<float>(expected["variance_px2"])});
+    }
     return settings;
 }
 
@@ -165,14 +169,14 @@ nb::tuple sample_disagreement(const std::vector<AnyImage>& images, const std::ve
     const std::size_t w = images[0].shape(1);
     const planish::DecodeSettings used = make_settings(settings);
     auto difference = make_array<float>({rows.size(), w}), sigma = make_array<float>({rows.size(), w}),
-         cycles = make_array<float>({rows.size(), w});
-    const planish::DisagreementSample out{view_of(difference), view_of(sigma), view_of(cycles)};
+         coarser = make_array<float>({rows.size(), w}), finer = make_array<float>({rows.size(), w});
+    const planish::DisagreementSample out{view_of(difference), view_of(sigma), view_of(coarser), view_of(finer)};
     const auto coarse_view = view_of(coarse);
     with_steps(images, counts, angles_cos, angles_sin, periods, [&](const auto& steps) {
         nb::gil_scoped_release release;
         planish::sample_disagreement(steps, coarse_view, used, rows, static_cast<int>(w), threads, out);
     });
-    return nb::make_tuple(difference, sigma, cycles);
+    return nb::make_tuple(difference, sigma, coarser, finer);
 }
 
 template <class T>

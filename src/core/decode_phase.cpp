@@ -107,16 +107,17 @@ void unwrap(float period, float limit, std::size_t count, const float* __restric
     }
 }
 
-/// Takes from the coarser position what its harmonics shift it by.
-void correct(const Disagreement& expected, std::size_t count, const float* __restrict coarser_cycles,
+/// Takes from positions what the harmonics of a level, whose phase is `cycles`, shift them by.
+void correct(const PhaseFunction& shift, std::size_t count, const float* __restrict cycles,
              float* __restrict position) {
-    const auto fold = static_cast<float>(expected.fold);
-    const float* __restrict mean = expected.mean_px.data();
+    if (shift.values_px.empty()) return;
+    const auto fold = static_cast<float>(shift.fold);
+    const float* __restrict values = shift.values_px.data();
     for (std::size_t u = 0; u < count; ++u) {
-        const float folded = fold * coarser_cycles[u];
+        const float folded = fold * cycles[u];
         // -0.5 ... 0.5 becomes bin 0 ... kPhaseBins; the last is the first again.
         const auto bin = static_cast<std::int32_t>((folded - fast_round(folded) + 0.5F) * kPhaseBins);
-        position[u] -= mean[bin & (kPhaseBins - 1)];
+        position[u] -= values[bin & (kPhaseBins - 1)];
     }
 }
 
@@ -226,13 +227,15 @@ class Decoder {
             }
             if (j == 0) take_coarse(offset, count);
             const Disagreement* expected = j > 0 && j <= settings_.expected.size() ? &settings_.expected[j - 1] : nullptr;
-            if (expected != nullptr) correct(*expected, count, block_.coarser_cycles, block_.position.data());
+            if (expected != nullptr) correct(expected->coarser, count, block_.coarser_cycles, block_.position.data());
             sum_terms(steps_[j].difference, block_.periods, &PeriodBlock::variance, count, block_.variance.data());
             unwrap(steps_[j].period_px, steps_[j].limit_px, count, block_.cycles, block_.variance.data(),
                    block_.position.data(), block_.difference.data(), block_.light.rejected.data());
-            if (expected != nullptr)
+            if (expected != nullptr) {
+                correct(expected->finer, count, block_.cycles, block_.difference.data());
                 suspect(expected->variance_px2, settings_.reflection_sigmas, count, block_.variance.data(),
                         block_.difference.data(), block_.light.rejected.data());
+            }
             if (j > 0) after_step(j, block_);
         }
     }
@@ -304,7 +307,8 @@ void sample_disagreement(const std::vector<PhaseSteps<T>>& steps, Image<const fl
                                             block.variance[u] <= worst * worst;
                         out.difference_px.data[at + u] = usable ? block.difference[u] : kNaN;
                         out.sigma_px.data[at + u] = std::sqrt(block.variance[u]);
-                        out.cycles.data[at + u] = block.coarser_cycles[u];
+                        out.coarser_cycles.data[at + u] = block.coarser_cycles[u];
+                        out.finer_cycles.data[at + u] = block.cycles[u];
                     }
                 });
             }

@@ -18,12 +18,16 @@ struct Level {
 
 constexpr int kPhaseBins = 32;
 
-/// How far the positions of a level and the one before it disagree without any inter-reflection: the mean as a function
-/// of `fold` times the coarser level's phase (harmonics of N steps repeat N times a period), which is taken from the
-/// coarser position, and the variance about it.
-struct Disagreement {
-    std::vector<float> mean_px;  ///< kPhaseBins values; the first bin begins at half a turn
+/// A shift of positions as a function of `fold` times a phase: harmonics of N steps repeat N times a period.
+struct PhaseFunction {
+    std::vector<float> values_px;  ///< kPhaseBins values, the first bin beginning at half a turn; empty: no shift
     int fold = 1;
+};
+
+/// How far the positions of a level and the one before it disagree without any inter-reflection: functions of the two
+/// phases, and the variance about them that noise does not explain.
+struct Disagreement {
+    PhaseFunction coarser, finer;
     float variance_px2 = 0;
 };
 
@@ -56,7 +60,7 @@ void decode_phase(const std::vector<PhaseSteps<T>>& steps, Image<const float> co
 struct DisagreementSample {
     Image<float> difference_px;  ///< coarser position minus this level's; NaN where unusable
     Image<float> sigma_px;       ///< of it by noise alone
-    Image<float> cycles;         ///< the coarser level's phase / (2 pi)
+    Image<float> coarser_cycles, finer_cycles;  ///< the levels' phases / (2 pi)
 };
 
 /// Disagreement, in the given rows of the images, of the first level of which none is expected yet.

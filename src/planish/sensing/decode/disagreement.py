@@ -20,6 +20,7 @@ from planish import _core
 from planish.measurement import Map
 from planish.sensing.images import GreyImage
 from planish.sensing.sequence import AxisCode
+from planish.sensing.unwrapping import Level
 
 #: Rows of the image that are looked at, samples that are enough, the least that say something.
 ROWS, SAMPLES, MIN_SAMPLES = 16, 6000, 500
@@ -29,6 +30,8 @@ BINS = 32
 CLIP_SIGMAS = 3.0
 #: Median of a squared normal variable of unit variance.
 MEDIAN_CHI_SQUARE = 0.4549
+#: A shift whose root mean square is a smaller share of the noise is none: 2 % more of it at most, and time.
+NEGLIGIBLE = 0.2
 NOTHING: Map = np.empty((0, 0), np.float32)
 
 
@@ -58,33 +61,41 @@ class PhaseStack:
 
 def expected_disagreement(
     stack: PhaseStack, settings: dict[str, Any], code: AxisCode, threads: int
-) -> dict[str, list[Any]]:
-    """Return what neighbouring levels disagree by, for the settings of the kernel: one entry per step of the ladder."""
+) -> list[dict[str, Any]]:
+    """Return what neighbouring levels disagree by, one entry per step of the ladder, as the kernel wants it."""
     assert code.ladder is not None
-    found: dict[str, list[Any]] = {"expected_mean_px": [], "expected_fold": [], "expected_variance_px2": []}
+    found: list[dict[str, Any]] = []
     rows = np.unique(np.linspace(0, stack.height - 1, ROWS).astype(int)).tolist()
-    for level, finer in itertools.pairwise(code.ladder.levels):
-        difference, sigma, cycles = _core.sample_disagreement(*stack.arguments, settings | found, rows, threads)
-        index = level.period_index
-        # The errors of a beat depend on several phases: no function of its own, only their spread counts.
-        fold = 0 if index is None else len(code.periods[index].images)
-        known = np.flatnonzero(np.isfinite(difference))
+    for coarser, finer in itertools.pairwise(code.ladder.levels):
+        maps = _core.sample_disagreement(*stack.arguments, settings | {"expected": found}, rows, threads)
+        known = np.flatnonzero(np.isfinite(maps[0]))
         known = known[:: max(1, len(known) // SAMPLES)]
-        chosen = [values.ravel()[known] for values in (difference, sigma, np.float32(fold) * cycles)]
-        mean, variance = _explained(chosen[0], chosen[1], chosen[2], finer.period_px)
-        found["expected_mean_px"].append(mean)
-        found["expected_fold"].append(fold)
-        found["expected_variance_px2"].append(variance)
+        difference, sigma, *cycles = (values.ravel()[known] for values in maps)
+        folds = _fold(coarser, code), _fold(finer, code)
+        expected = {"coarser_fold": folds[0], "finer_fold": folds[1]}
+        if len(known) < MIN_SAMPLES:
+            found.append(expected | {"coarser_px": [], "finer_px": [], "variance_px2": float("inf")})
+            continue
+        negligible = NEGLIGIBLE * float(np.median(sigma))
+        for name, phase, fold in zip(("coarser_px", "finer_px"), cycles, folds, strict=True):
+            shift, difference = _explained(difference, np.float32(fold) * phase, finer.period_px, negligible)
+            expected[name] = shift
+        expected["variance_px2"] = _excess_variance(difference**2, sigma**2)
+        found.append(expected)
     return found
 
 
-def _explained(difference: Map, sigma: Map, folded: Map, period: float) -> tuple[list[float], float]:
-    """Return the mean difference per bin of the folded phase, and the variance about it that noise does not explain.
+def _fold(level: Level, code: AxisCode) -> int:
+    """Return how often the errors by harmonics repeat in a period; those of a beat depend on several phases: 0."""
+    index = level.period_index
+    return 0 if index is None else len(code.periods[index].images)
+
+
+def _explained(difference: Map, folded: Map, period: float, negligible: float) -> tuple[list[float], Map]:
+    """Return the mean difference per bin of the folded phase (nothing if negligible), and what it leaves over.
 
     Differences are known up to whole periods of the finer level: the mean begins as a circular one.
     """
-    if len(difference) < MIN_SAMPLES:
-        return [0.0] * BINS, float("inf")
     bins = ((folded - np.rint(folded) + np.float32(0.5)) * BINS).astype(np.intp) & (BINS - 1)
     angle = difference * np.float32(2 * np.pi / period)
     sums = np.bincount(bins, np.cos(angle), BINS) + 1j * np.bincount(bins, np.sin(angle), BINS)
@@ -96,8 +107,9 @@ def _explained(difference: Map, sigma: Map, folded: Map, period: float) -> tuple
         kept = (np.abs(rest) <= CLIP_SIGMAS * 1.4826 * np.median(np.abs(rest))).astype(float)
         count = np.bincount(bins, kept, BINS)
         mean += (np.bincount(bins, kept * rest, BINS) / np.maximum(count, 1)).astype(np.float32)
-    rest = _wrapped(difference - mean[bins], period)
-    return mean.tolist(), _excess_variance(rest**2, sigma**2)
+    if np.sqrt(np.mean(mean**2)) < negligible:
+        return [], _wrapped(difference, period)
+    return mean.tolist(), _wrapped(difference - mean[bins], period)
 
 
 def _wrapped(values: Map, period: float) -> Map:

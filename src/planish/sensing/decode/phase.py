@@ -113,7 +113,7 @@ def decode(
     """
     stack = PhaseStack.of([np.ascontiguousarray(images[i]) for i in code.phase_images], code, coarse_px)
     settings = _settings(code, noise, saturation, options, coarse_offset_px)
-    settings |= expected_disagreement(stack, settings, code, threads)
+    settings["expected"] = expected_disagreement(stack, settings, code, threads)
     position, sigma, mean, modulation, rejected = _core.decode_phase(*stack.arguments, settings, threads)
     # One phase step from pixel to pixel is what neighbours on one surface may differ by.
     _core.repair_periods(
