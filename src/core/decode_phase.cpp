@@ -115,9 +115,12 @@ void correct(const PhaseFunction& shift, std::size_t count, const float* __restr
     const float* __restrict values = shift.values_px.data();
     for (std::size_t u = 0; u < count; ++u) {
         const float folded = fold * cycles[u];
-        // -0.5 ... 0.5 becomes bin 0 ... kPhaseBins; the last is the first again.
-        const auto bin = static_cast<std::int32_t>((folded - fast_round(folded) + 0.5F) * kPhaseBins);
-        position[u] -= values[bin & (kPhaseBins - 1)];
+        // Linear between the middles of the bins; one turn more, so that nothing is negative.
+        const float place = (folded - fast_round(folded) + 0.5F) * kPhaseBins + (kPhaseBins - 0.5F);
+        const auto bin = static_cast<std::int32_t>(place);
+        const float share = place - static_cast<float>(bin);
+        const float low = values[bin & (kPhaseBins - 1)], high = values[(bin + 1) & (kPhaseBins - 1)];
+        position[u] -= low + share * (high - low);
     }
 }
 

@@ -96,20 +96,23 @@ def _explained(difference: Map, folded: Map, period: float, negligible: float) -
 
     Differences are known up to whole periods of the finer level: the mean begins as a circular one.
     """
-    bins = ((folded - np.rint(folded) + np.float32(0.5)) * BINS).astype(np.intp) & (BINS - 1)
+    turns = folded - np.rint(folded) + np.float32(0.5)
+    bins = (turns * BINS).astype(np.intp) & (BINS - 1)
+    middles = (np.arange(BINS) + 0.5) / BINS
     angle = difference * np.float32(2 * np.pi / period)
     sums = np.bincount(bins, np.cos(angle), BINS) + 1j * np.bincount(bins, np.sin(angle), BINS)
     # Bins without samples take what the rest has.
     sums[sums == 0] = sums.sum()
     mean = (np.angle(sums) * period / (2 * np.pi)).astype(np.float32)
     for _ in range(2):
-        rest = _wrapped(difference - mean[bins], period)
+        rest = _wrapped(difference - np.interp(turns, middles, mean, period=1).astype(np.float32), period)
         kept = (np.abs(rest) <= CLIP_SIGMAS * 1.4826 * np.median(np.abs(rest))).astype(float)
         count = np.bincount(bins, kept, BINS)
         mean += (np.bincount(bins, kept * rest, BINS) / np.maximum(count, 1)).astype(np.float32)
     if np.sqrt(np.mean(mean**2)) < negligible:
         return [], _wrapped(difference, period)
-    return mean.tolist(), _wrapped(difference - mean[bins], period)
+    shift = np.interp(turns, middles, mean, period=1).astype(np.float32)
+    return mean.tolist(), _wrapped(difference - shift, period)
 
 
 def _wrapped(values: Map, period: float) -> Map:

@@ -23,7 +23,7 @@ AGREEMENT_SIGMAS = 5.0
 #: Of the 5 x 5 pixels around, so many must be suspected of inter-reflection too: all on one side of a border.
 REFLECTION_PIXELS = 15
 #: The slope of the positions is taken from so many lines at least.
-MIN_LINES = 32
+MIN_LINES = 16
 
 
 class DecodeOptions(Options):
@@ -160,7 +160,7 @@ def _settings(
     }
 
 
-def position_slope(position_px: NDArray[np.float32], sample: int = 32) -> float:
+def position_slope(position_px: NDArray[np.float32], sample: int = 64) -> float:
     """Return the median change of position (H, W) from pixel to pixel [projector px per px] along the steeper axis.
 
     Every `sample`-th line of the map is looked at, more of a small one.
