@@ -91,8 +91,9 @@ def main() -> None:
     parser.add_argument("--threads", type=int, default=thread_count())
     arguments = parser.parse_args()
     threads, runs = arguments.threads, arguments.runs
-    content = {"schema": "planish.capture/1", "rig": "rig.json", "images": {"A": ["-"] * 14},
-               "sequence": [entry.model_dump() for entry in reference_sequence()], "projector_px": [1280, 800]}  # fmt: skip
+    shown = [entry.model_dump() for entry in reference_sequence()]
+    content = {"schema": "planish.capture/1", "rig": "rig.json", "images": {"A": ["-"] * len(shown)},
+               "sequence": shown, "projector_px": [1280, 800]}  # fmt: skip
     (layout,) = read_layouts(Manifest.parse(content, "benchmark"), "benchmark")
     code, options = layout.codes[0], DecodeOptions()
     stacks = [render(seed) for seed in range(STACKS)]

@@ -35,7 +35,7 @@ namespace {
 template <class T>
 using AnyIn = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
 template <class T>
-using InOut = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
+using Shared = nb::ndarray<T, nb::c_contig, nb::device::cpu>;
 template <class T>
 using AnyOut = nb::ndarray<nb::numpy, T>;
 using AnyImage = nb::ndarray<nb::ro, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
@@ -211,7 +211,7 @@ AnyOut<float> undistortion_shifts(const AnyIn<double>& camera, int height, int w
     return shifts;
 }
 
-void repair_periods(const InOut<float>& position, const InOut<float>& sigma, const InOut<std::uint16_t>& rejected,
+void repair_periods(const Shared<float>& position, const Shared<float>& sigma, const Shared<std::uint16_t>& rejected,
                     float period_px, float tolerance_px, float sigmas, int reflection_pixels, int threads) {
     const auto p = view_of(position), s = view_of(sigma);
     const auto r = view_of(rejected);

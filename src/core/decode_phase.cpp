@@ -13,8 +13,8 @@ namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kPerTurn = static_cast<float>(0.5 * std::numbers::inv_pi);
-/// A slip by one period needs half a period of error: kept at 3 standard deviations. One pixel in 400 that is as dark as
-/// that slips; its neighbours correct it, which they cannot where all of them are rejected.
+/// A slip by one period needs half a period of error: kept at 3 standard deviations. One pixel in 400 that is as dark
+/// as that slips; its neighbours correct it, which they cannot where all of them are rejected.
 constexpr float kMaxUnwrapSigma = 0.5F / 3.0F;
 /// Largest difference of two neighbouring levels' positions, in periods: half of the way to a slip.
 constexpr float kMaxUnwrapDifference = 0.25F;
@@ -224,12 +224,13 @@ class Decoder {
             block_.cycles =
                 sum_terms(steps_[j].phase, block_.periods, &PeriodBlock::cycles, count, block_.beat[j % 2].data());
             if (j == 0 && coarse_.empty()) {
-                place(steps_[0].period_px, settings_.range_start_px + 0.5F * steps_[0].period_px, count,
-                      block_.cycles, block_.position.data());
+                place(steps_[0].period_px, settings_.range_start_px + 0.5F * steps_[0].period_px, count, block_.cycles,
+                      block_.position.data());
                 continue;
             }
             if (j == 0) take_coarse(offset, count);
-            const Disagreement* expected = j > 0 && j <= settings_.expected.size() ? &settings_.expected[j - 1] : nullptr;
+            const Disagreement* expected =
+                j > 0 && j <= settings_.expected.size() ? &settings_.expected[j - 1] : nullptr;
             if (expected != nullptr) correct(expected->coarser, count, block_.coarser_cycles, block_.position.data());
             sum_terms(steps_[j].difference, block_.periods, &PeriodBlock::variance, count, block_.variance.data());
             unwrap(steps_[j].period_px, steps_[j].limit_px, count, block_.cycles, block_.variance.data(),
@@ -306,8 +307,8 @@ void sample_disagreement(const std::vector<PhaseSteps<T>>& steps, Image<const fl
                     const float worst = kMaxUnwrapSigma * settings.levels[level].period_px;
                     const std::size_t at = r * columns + u0;
                     for (std::size_t u = 0; u < count; ++u) {
-                        const bool usable = (block.light.rejected[u] & ~kDoubtful) == 0 &&
-                                            block.variance[u] <= worst * worst;
+                        const bool usable =
+                            (block.light.rejected[u] & ~kDoubtful) == 0 && block.variance[u] <= worst * worst;
                         out.difference_px.data[at + u] = usable ? block.difference[u] : kNaN;
                         out.sigma_px.data[at + u] = std::sqrt(block.variance[u]);
                         out.coarser_cycles.data[at + u] = block.coarser_cycles[u];

@@ -38,9 +38,9 @@ struct DecodeSettings {
     float coarse_limit_px = 0;                      ///< largest difference of `coarse` and the first level's phase
     float range_start_px = 0, range_length_px = 0;  ///< length > 0: positions are moved by it into this range
     std::vector<Level> levels;                      ///< from the coarsest to the finest, which is a single period
-    std::vector<int> averaged;                      ///< periods whose weighted mean is the position; else the last level
-    std::vector<Disagreement> expected;             ///< per level from the second on, as far as it is known
-    float reflection_sigmas = 0;                    ///< what disagrees by more is suspected of inter-reflection
+    std::vector<int> averaged;           ///< periods whose weighted mean is the position; else the last level
+    std::vector<Disagreement> expected;  ///< per level from the second on, as far as it is known
+    float reflection_sigmas = 0;         ///< what disagrees by more is suspected of inter-reflection
 };
 
 struct PhaseResult {
@@ -58,8 +58,8 @@ void decode_phase(const std::vector<PhaseSteps<T>>& steps, Image<const float> co
 
 /// What a level and the one before it say about each other in some rows; maps (rows, width).
 struct DisagreementSample {
-    Image<float> difference_px;  ///< coarser position minus this level's; NaN where unusable
-    Image<float> sigma_px;       ///< of it by noise alone
+    Image<float> difference_px;                 ///< coarser position minus this level's; NaN where unusable
+    Image<float> sigma_px;                      ///< of it by noise alone
     Image<float> coarser_cycles, finer_cycles;  ///< the levels' phases / (2 pi)
 };
 

@@ -33,8 +33,8 @@ struct NoiseBins {
     std::vector<std::int64_t> count;
 };
 
-/// The variance starts from the 68.27 % quantile and leaves out, three times, what is beyond `clip_sigmas`; the standard
-/// deviation used for that is at least `min_sigma`.
+/// The variance starts from the 68.27 % quantile and leaves out, three times, what is beyond `clip_sigmas`; the
+/// standard deviation used for that is at least `min_sigma`.
 NoiseBins bin_noise(const std::vector<float>& level, const std::vector<float>& residual, int bins, float clip_sigmas,
                     float min_sigma);
 

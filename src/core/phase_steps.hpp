@@ -7,7 +7,8 @@
 
 namespace planish {
 
-/// The images of one fringe period in equal steps; step k shows I_k = A + B cos(phi - angle_k), angle_k = sign 2 pi k/N.
+/// The images of one fringe period in equal steps; step k shows I_k = A + B cos(phi - angle_k), angle_k = sign 2 pi
+/// k/N.
 template <class T>
 struct PhaseSteps {
     std::vector<const T*> images;

@@ -81,8 +81,8 @@ void find_doubtful(float near, int width, const float* __restrict p, const std::
     };
     for (int u = 1; u < width - 1; ++u) {
         // Not a short circuit, so that the loop vectorises.
-        const int alike = static_cast<int>(std::fabs(p[u] - p[u - 1]) <= near) &
-                          static_cast<int>(std::fabs(p[u] - p[u + 1]) <= near);
+        const int alike =
+            static_cast<int>(std::fabs(p[u] - p[u - 1]) <= near) & static_cast<int>(std::fabs(p[u] - p[u + 1]) <= near);
         const int marked = static_cast<int>(reason[u] == kSlip) | static_cast<int>(reason[u] == kInterreflection);
         doubtful[u] = static_cast<std::uint8_t>(marked | (static_cast<int>(reason[u] == 0) & (alike ^ 1)));
     }

@@ -55,7 +55,7 @@ def _is_cut(fringes: Sequence[GreyImage], highest: int, step: int) -> bool:
     # The tail may hold fewer levels than TAIL: light below black is no light.
     levels = min(TAIL, highest // step)
     below = sum(np.count_nonzero(image > highest - (levels + 1) * step) for image in fringes) - at
-    return at > MIN_SPIKE * max(below, 1) / max(levels, 1)
+    return bool(at > MIN_SPIKE * max(below, 1) / max(levels, 1))
 
 
 def _step(images: Sequence[GreyImage]) -> int:

@@ -1,10 +1,10 @@
 """The noise of a camera, estimated from the sequence itself.
 
-Weighted sums of images in which light, texture and fringes cancel hold noise alone. N > 3 phase steps overdetermine A, B
-and phi: their highest harmonic is such a sum. So is the difference of two periods' means, and that of a Gray pattern and
-its inverse from another such pair. Where the fringes are no pure cosine, something is left; it varies slowly along the
-fringes, so the second difference between three neighbouring pixels removes most of it. What is still left can only add:
-the sums and directions with the least variance are the ones that count.
+Weighted sums of images in which light, texture and fringes cancel hold noise alone. N > 3 phase steps overdetermine
+A, B and phi: their highest harmonic is such a sum. So is the difference of two periods' means, and that of a Gray
+pattern and its inverse from another such pair. Where the fringes are no pure cosine, something is left; it varies slowly
+along the fringes, so the second difference between three neighbouring pixels removes most of it. What is still left can
+only add: the sums and directions with the least variance are the ones that count.
 """
 
 from __future__ import annotations
@@ -53,7 +53,9 @@ class Contrast:
     weights: Array
     along_rows: bool = False
 
-    def sample(self, images: Sequence[GreyImage], saturation: float, rows: int, first: int = 0) -> tuple[Samples, Samples]:
+    def sample(
+        self, images: Sequence[GreyImage], saturation: float, rows: int, first: int = 0
+    ) -> tuple[Samples, Samples]:
         """Return grey levels and residuals (n,) of about so many rows, from row `first` of each interval on."""
         height = images[0].shape[0]
         groups = max(1, min(rows, height) // 3)

@@ -185,8 +185,8 @@ def _ladder(periods: tuple[PeriodSteps, ...], gray: GrayCode | None, extent: flo
     if ladder.noise_limit < BEST_NOISE:
         raise InputError(
             f"{subject}: sequence",
-            f"the step {' to '.join(map(str, ladder.levels))} needs noise below {ladder.noise_limit:.1%} of the amplitude",
-            f"periods between, so that images with a noise of {BEST_NOISE:.0%} of the amplitude tell the fringes apart",
+            f"{' to '.join(map(str, ladder.levels))} needs noise below {ladder.noise_limit:.1%} of the amplitude",
+            f"periods between: images with a noise of {BEST_NOISE:.0%} of the amplitude must tell the fringes apart",
         )
     return ladder
 

@@ -81,17 +81,17 @@ def plan_levels(
     periods_px, steps : sequence
         Period and number of phase steps of each.
     extent_px : float or None
-        Projector pixels to be told apart; None: as far as the longest period, or the beat of neighbouring ones, reaches.
+        Projector pixels to be told apart; None: as far as the longest period, or the beat of neighbours, reaches.
     cell_px : float or None
         Length of a Gray cell, where there is a Gray code: then the first level need only be as long.
 
     Notes
     -----
     Going from level c to level f, the whole periods are round((x_c - x_f) / P_f); both depend on the same phases, so
-    that the variance of the difference is sum (P_c c_i - P_f f_i)^2 var_i / (2 pi)^2, var_i = 2 / N_i (noise/amplitude)^2.
-    The chance of a slip is that of half a period, at the noise where the hardest step of the best ladder is at its
-    limit; the ladder with the smallest sum over its steps is a shortest path. Compare Towers, Judge and Jones, "Absolute
-    fringe metrology using heterodyne" (Optics Letters 28, 2003) and Petkovic et al. on tolerances of such steps.
+    that the variance of the difference is sum (P_c c_i - P_f f_i)^2 var_i / (2 pi)^2 with
+    var_i = 2 / N_i (noise / amplitude)^2. The chance of a slip is that of half a period, at the noise where the hardest
+    step of the best ladder is at its limit; the ladder with the smallest sum over its steps is a shortest path. Beats:
+    Towers, Towers and Jones, "Optimum frequency selection in multifrequency interferometry", Optics Letters 28, 2003.
     """
     variances = [2.0 / n for n in steps]
     finest = min(range(len(steps)), key=lambda i: variances[i] * periods_px[i] ** 2)
@@ -117,7 +117,7 @@ def plan_levels(
 
 
 def candidates(periods_px: Sequence[float]) -> list[Level]:
-    """Return the levels that can be made of some periods, from the longest to the shortest; of equal ones the simplest."""
+    """Return the levels that periods can make, from the longest to the shortest; of equal ones the simplest."""
     found: dict[float, Level] = {}
     for coefficients in sorted(_coefficients(len(periods_px)), key=lambda c: (sum(map(abs, c)), c)):
         frequency = sum(a / p for a, p in zip(coefficients, periods_px, strict=True))

@@ -3,8 +3,8 @@
 Light that reaches a point over another one shifts long periods more than short ones: the second way starts far off, and
 short fringes cancel over the area that it comes from. But a gamma shifts them too, each by a function of its own phase
 that repeats N times a period (harmonics m N +- 1 of the wave appear as the first one, at m N times its phase). That
-function, and what else the bulk of the pixels disagrees by, is measured in the capture itself; only pixels that disagree
-far more are suspected.
+function, and what else the bulk of the pixels disagrees by, is measured in the capture itself; only pixels that
+disagree far more are suspected.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ NOTHING: Map = np.empty((0, 0), np.float32)
 class PhaseStack:
     """The phase images of one axis and what they show, as the kernels want them."""
 
-    arguments: tuple[Any, ...]
+    arguments: tuple[list[GreyImage], list[int], list[float], list[float], list[float], Map]
     height: int
 
     @classmethod
@@ -72,7 +72,7 @@ def expected_disagreement(
         known = known[:: max(1, len(known) // SAMPLES)]
         difference, sigma, *cycles = (values.ravel()[known] for values in maps)
         folds = _fold(coarser, code), _fold(finer, code)
-        expected = {"coarser_fold": folds[0], "finer_fold": folds[1]}
+        expected: dict[str, Any] = {"coarser_fold": folds[0], "finer_fold": folds[1]}
         if len(known) < MIN_SAMPLES:
             found.append(expected | {"coarser_px": [], "finer_px": [], "variance_px2": float("inf")})
             continue

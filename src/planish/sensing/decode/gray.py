@@ -73,7 +73,8 @@ def gray_offset(views: Sequence[tuple[Sequence[GreyImage], Map]], code: AxisCode
     -----
     Circular mean of (Gray - phase) / P over all pixels with good modulation (Mardia & Jupp, Directional Statistics).
     """
-    assert code.gray is not None and code.ladder is not None
+    assert code.gray is not None
+    assert code.ladder is not None
     level = code.ladder.levels[0]
     if code.gray.cell_px > 0.75 * level.period_px:
         return 0.0
@@ -94,7 +95,7 @@ def gray_offset(views: Sequence[tuple[Sequence[GreyImage], Map]], code: AxisCode
 
 
 def _level_wave(images: Sequence[GreyImage], code: AxisCode, level: Level) -> tuple[Wave, NDArray[np.float64]]:
-    """Return exp(i phase) of a level, and the smallest amplitude of the fringes it is made of, at the sampled pixels."""
+    """Return exp(i phase) of a level, and the smallest amplitude of its fringes, at the sampled pixels."""
     product: Wave | None = None
     least: NDArray[np.float64] | None = None
     for coefficient, steps in zip(level.coefficients, code.periods, strict=True):
@@ -106,5 +107,6 @@ def _level_wave(images: Sequence[GreyImage], code: AxisCode, level: Level) -> tu
         unit = (wave / np.maximum(amplitude, 1e-12)) ** coefficient
         product = unit if product is None else product * unit
         least = amplitude if least is None else np.minimum(least, amplitude)
-    assert product is not None and least is not None
+    assert product is not None
+    assert least is not None
     return product, least

@@ -106,12 +106,12 @@ def decode(
 
     Notes
     -----
-    I_k = A + B cos(phi - sign 2 pi k / N); position = phi P / (2 pi) + whole periods P, which come from level to level of
-    the code's ladder, or from the Gray code. sigma = P / (2 pi) sqrt(2 / N) sigma_I / B. Steps at saturation are left out,
-    the rest is solved by least squares. Single pixels with a wrong number of whole periods take that of their
+    I_k = A + B cos(phi - sign 2 pi k / N); position = phi P / (2 pi) + whole periods P, which come from level to level
+    of the code's ladder, or from the Gray code. sigma = P / (2 pi) sqrt(2 / N) sigma_I / B. Steps at saturation are
+    left out, the rest is solved by least squares. Single pixels with a wrong number of whole periods take that of their
     neighbours; no phase is changed by them.
     """
-    stack = PhaseStack.of([np.ascontiguousarray(images[i]) for i in code.phase_images], code, coarse_px)
+    stack = PhaseStack.of([images[i] for i in code.phase_images], code, coarse_px)
     settings = _settings(code, noise, saturation, options, coarse_offset_px)
     settings["expected"] = expected_disagreement(stack, settings, code, threads)
     position, sigma, mean, modulation, rejected = _core.decode_phase(*stack.arguments, settings, threads)
