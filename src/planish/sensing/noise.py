@@ -2,9 +2,9 @@
 
 Weighted sums of images in which light, texture and fringes cancel hold noise alone. N > 3 phase steps overdetermine
 A, B and phi: their highest harmonic is such a sum. So is the difference of two periods' means, and that of a Gray
-pattern and its inverse from another such pair. Where the fringes are no pure cosine, something is left; it varies slowly
-along the fringes, so the second difference between three neighbouring pixels removes most of it. What is still left can
-only add: the sums and directions with the least variance are the ones that count.
+pattern and its inverse from another such pair. Where the fringes are no pure cosine, something is left; it varies
+slowly along the fringes, so the second difference between three neighbouring pixels removes most of it. What is still
+left can only add: the sums and directions with the least variance are the ones that count.
 """
 
 from __future__ import annotations
