@@ -114,7 +114,7 @@ T find_brightest(const PhaseSteps<T>& steps, std::size_t offset, std::size_t cou
 template <bool ThreeSteps>
 void solve_equal_steps(float n, const GreyNoise& settings, std::size_t count, const float* __restrict sum,
                        const float* __restrict cosine, const float* __restrict sine, float* __restrict cycles,
-                       float* __restrict variance, float* __restrict amplitude) {
+                       float* __restrict variance, float* __restrict all, float* __restrict modulation) {
     const float scale = 2 / n, offset = settings.offset, slope = settings.slope, per_step = slope / n;
     const float turns_squared = scale * kPerTurn * kPerTurn;
     for (std::size_t u = 0; u < count; ++u) {
@@ -125,15 +125,8 @@ void solve_equal_steps(float n, const GreyNoise& settings, std::size_t count, co
         noise = noise > kMinVariance ? noise : kMinVariance;
         cycles[u] = turns(y, x);
         variance[u] = turns_squared * noise / (power + kMinVariance);
-        amplitude[u] = std::sqrt(power);
-    }
-}
-
-void add_light(float n, std::size_t count, const float* __restrict sum, const float* __restrict amplitude,
-               float* __restrict all, float* __restrict modulation) {
-    for (std::size_t u = 0; u < count; ++u) {
         all[u] += sum[u];
-        modulation[u] += n * amplitude[u];
+        modulation[u] += n * std::sqrt(power);
     }
 }
 
@@ -150,10 +143,9 @@ void PeriodSolver<T>::solve(std::size_t offset, std::size_t count, PeriodBlock& 
     add(steps_, offset, count, sum_.data(), cosine_.data(), sine_.data());
     const auto solve_steps = steps_.images.size() == 3 ? solve_equal_steps<true> : solve_equal_steps<false>;
     solve_steps(n, noise_, count, sum_.data(), cosine_.data(), sine_.data(), out.cycles.data(), out.variance.data(),
-                amplitude_.data());
+                light.sum.data(), light.modulation.data());
     if (static_cast<float>(find_brightest(steps_, offset, count, brightest_.data())) >= noise_.saturation)
         solve_saturated(offset, count, out, light);
-    add_light(n, count, sum_.data(), amplitude_.data(), light.sum.data(), light.modulation.data());
 }
 
 /// The same by least squares over the steps below saturation; rejected where too few are left.
@@ -187,8 +179,10 @@ void PeriodSolver<T>::solve_saturated(std::size_t offset, std::size_t count, Per
         }
         out.cycles[u] = turns(static_cast<float>(y), static_cast<float>(x));
         out.variance[u] = static_cast<float>(variance / (power * power)) * kPerTurn * kPerTurn;
-        amplitude_[u] = static_cast<float>(std::sqrt(power));
-        sum_[u] = static_cast<float>(static_cast<double>(n) * mean);
+        // In place of what all steps gave.
+        const auto steps = static_cast<double>(n);
+        light.sum[u] += static_cast<float>(steps * mean) - sum_[u];
+        light.modulation[u] += static_cast<float>(steps * std::sqrt(power)) - 2 * std::hypot(cosine_[u], sine_[u]);
     }
 }
 

@@ -63,7 +63,7 @@ class PeriodSolver {
     const PhaseSteps<T>& steps_;
     GreyNoise noise_;
     bool paired_;  ///< steps k and k + N/2 are opposite
-    alignas(64) BlockOf<float> sum_, cosine_, sine_, amplitude_;
+    alignas(64) BlockOf<float> sum_, cosine_, sine_;
     alignas(64) BlockOf<T> brightest_;
     std::vector<SubsetSolution> known_;
 };

@@ -98,20 +98,19 @@ def _explained(difference: Map, folded: Map, period: float, negligible: float) -
     """
     turns = folded - np.rint(folded) + np.float32(0.5)
     bins = (turns * BINS).astype(np.intp) & (BINS - 1)
-    middles = (np.arange(BINS) + 0.5) / BINS
     angle = difference * np.float32(2 * np.pi / period)
     sums = np.bincount(bins, np.cos(angle), BINS) + 1j * np.bincount(bins, np.sin(angle), BINS)
     # Bins without samples take what the rest has.
     sums[sums == 0] = sums.sum()
     mean = (np.angle(sums) * period / (2 * np.pi)).astype(np.float32)
     for _ in range(2):
-        rest = _wrapped(difference - np.interp(turns, middles, mean, period=1).astype(np.float32), period)
+        rest = _wrapped(difference - mean[bins], period)
         kept = (np.abs(rest) <= CLIP_SIGMAS * 1.4826 * np.median(np.abs(rest))).astype(float)
         count = np.bincount(bins, kept, BINS)
         mean += (np.bincount(bins, kept * rest, BINS) / np.maximum(count, 1)).astype(np.float32)
     if np.sqrt(np.mean(mean**2)) < negligible:
         return [], _wrapped(difference, period)
-    shift = np.interp(turns, middles, mean, period=1).astype(np.float32)
+    shift = np.interp(turns, (np.arange(BINS) + 0.5) / BINS, mean, period=1).astype(np.float32)
     return mean.tolist(), _wrapped(difference - shift, period)
 
 
@@ -121,11 +120,13 @@ def _wrapped(values: Map, period: float) -> Map:
 
 def _excess_variance(squares: Map, variance: Map) -> float:
     """Return the variance that must be added for the median of squares / variance to be that of a normal variable."""
-    low, high = 0.0, float(np.median(squares)) / MEDIAN_CHI_SQUARE
-    if np.mean(squares <= MEDIAN_CHI_SQUARE * variance) >= 0.5:
+    def too_small(added: float) -> bool:
+        return 2 * np.count_nonzero(squares <= MEDIAN_CHI_SQUARE * (variance + np.float32(added))) < len(squares)
+
+    if not too_small(0.0):
         return 0.0
-    for _ in range(20):
+    low, high = 0.0, float(np.median(squares)) / MEDIAN_CHI_SQUARE
+    for _ in range(12):
         middle = 0.5 * (low + high)
-        below = np.mean(squares <= MEDIAN_CHI_SQUARE * (variance + middle)) < 0.5
-        low, high = (middle, high) if below else (low, middle)
+        low, high = (middle, high) if too_small(middle) else (low, middle)
     return high
