@@ -62,7 +62,7 @@ def test_beats_are_compared_like_periods():
     clean, plan = images_with(np.zeros(SHAPE), periods=(28, 26, 24))
     assert rejected(clean, plan).mean() < MAX_FALSE_ALARMS
     share = np.zeros(SHAPE)
-    share[60:180, 300:500] = 0.15
+    share[60:180, 300:500] = 0.2
     found = rejected(*images_with(share, periods=(1280, 28, 26)))
     assert found[65:175, 305:495].mean() > 0.5
     assert found[share == 0].mean() < MAX_FALSE_ALARMS
