@@ -120,8 +120,10 @@ def _wrapped(values: Map, period: float) -> Map:
 
 def _excess_variance(squares: Map, variance: Map) -> float:
     """Return the variance that must be added for the median of squares / variance to be that of a normal variable."""
+
     def too_small(added: float) -> bool:
-        return 2 * np.count_nonzero(squares <= MEDIAN_CHI_SQUARE * (variance + np.float32(added))) < len(squares)
+        below = np.count_nonzero(squares <= MEDIAN_CHI_SQUARE * (variance + np.float32(added)))
+        return 2 * int(below) < len(squares)
 
     if not too_small(0.0):
         return 0.0
