@@ -18,7 +18,7 @@ from planish.sensing.unwrapping import Level
 Wave = NDArray[np.complex128]
 
 #: Every so many rows and columns serve to estimate the offset of the cells.
-SAMPLE_STRIDE = 6
+SAMPLE_STRIDE = 10
 #: Smallest agreement (length of the mean unit vector, 0 ... 1) at which cells and fringes belong together. Cells of
 #: half a period give 0.90, cells of a whole one 0, for their residuals fill the circle.
 MIN_AGREEMENT = 0.3
