@@ -143,7 +143,7 @@ def test_close_periods_of_equal_quality_are_averaged_by_their_information():
     found = decoded(
         phase_entries([28, 26, 24]), positions, noise, bits=8, projector=(1320, 800), noise=(noise.offset, noise.slope)
     )
-    one = decoded(phase_entries([1320, 24]), positions, noise, bits=8, noise=(noise.offset, noise.slope))
+    one = decoded(phase_entries([1320, 160, 24]), positions, noise, bits=8, noise=(noise.offset, noise.slope))
     # 1 / (1/24^2 + 1/26^2 + 1/28^2) over 24^2; the first set adds nothing to its finest period.
     expected = math.sqrt(1 / (1 + (24 / 26) ** 2 + (24 / 28) ** 2))
     assert np.nanmedian(found.sigma_px) / np.nanmedian(one.sigma_px) == pytest.approx(expected, rel=0.01)

@@ -13,9 +13,9 @@ namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kPerTurn = static_cast<float>(0.5 * std::numbers::inv_pi);
-/// A slip by one period needs half a period of error: kept at 3 standard deviations. One pixel in 400 that is as dark
-/// as that slips; its neighbours correct it, which they cannot where all of them are rejected.
-constexpr float kMaxUnwrapSigma = 0.5F / 3.0F;
+/// A slip by one period needs half a period of error: kept at 3.5 standard deviations. One pixel in 2000 that is as
+/// dark as that slips; its neighbours correct it, which they cannot where all of them are rejected.
+constexpr float kMaxUnwrapSigma = 0.5F / 3.5F;
 /// Largest difference of two neighbouring levels' positions, in periods: half of the way to a slip.
 constexpr float kMaxUnwrapDifference = 0.25F;
 /// The position of these is known; only the named criteria contradict.
