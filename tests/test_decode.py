@@ -193,3 +193,35 @@ def test_the_result_does_not_depend_on_the_number_of_threads():
     for other in results[1:]:
         assert results[0].position_px.tobytes() == other.position_px.tobytes()
         assert results[0].sigma_px.tobytes() == other.sigma_px.tobytes()
+
+
+def test_sigma_is_right_for_three_steps_and_where_steps_are_saturated():
+    positions = ramp((200, 640))
+    noise = NoiseModel(1.5, 0.025)
+    for steps, amplitude, least in ((3, 160.0, 0.999), (6, 235.0, 0.9)):
+        result = decoded(
+            phase_entries([1280, 160, 20], steps=steps), positions, noise, noise=(1.5, 0.025), amplitude=amplitude
+        )
+        normalised = (result.position_px - positions) / result.sigma_px
+        valid = result.rejected == 0
+        assert valid.mean() > least
+        phase = 2 * np.pi * positions / 20
+        for part in range(6):
+            # 20,000 samples in each sixth of a period: five per cent are ten standard errors.
+            members = valid & (np.floor(phase * 6 / (2 * np.pi)) % 6 == part)
+            assert np.std(normalised[members]) == pytest.approx(1, abs=0.05)
+
+
+def test_a_slipped_pixel_at_a_border_with_few_neighbours_is_rejected():
+    positions = ramp((20, 640), 0, 600)
+    plan = manifest(phase_entries([1280, 160, 20]), projector_px=(1280, 800))
+    images = render(plan.sequence, positions)
+    slipped = positions.copy()
+    slipped[0, 639] += 160
+    for k, image in enumerate(render(plan.sequence[:4], slipped)):
+        images[k] = image
+    result, *_ = decode(images, layout_of(plan).codes[0], QUIET, 255.0, DecodeOptions(), 2)
+    # Three neighbours contradict it, too few to correct it.
+    assert rejected_for(result, "slip")[0, 639]
+    assert np.isnan(result.position_px[0, 639])
+    assert result.rejected.astype(bool).sum() == 1

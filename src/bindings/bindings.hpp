@@ -4,6 +4,7 @@
 
 // One function per layer of the library; each adds the layer's kernels to the module.
 
+void bind_decoding(nanobind::module_& m);
 void bind_sensing(nanobind::module_& m);
 void bind_registration(nanobind::module_& m);
 void bind_evaluation(nanobind::module_& m);

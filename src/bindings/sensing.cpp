@@ -15,20 +15,17 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "bindings/maps.hpp"
 #include "core/camera.hpp"
 #include "core/check_points.hpp"
 #include "core/correlate.hpp"
 #include "core/correspond.hpp"
-#include "core/decode_gray.hpp"
-#include "core/decode_phase.hpp"
-#include "core/gray_edges.hpp"
 #include "core/grazing.hpp"
 #include "core/image.hpp"
 #include "core/intersect.hpp"
 #include "core/islands.hpp"
 #include "core/phase_edges.hpp"
 #include "core/projector_residual.hpp"
-#include "core/repair_periods.hpp"
 #include "core/temporal.hpp"
 #include "core/triangulate.hpp"
 #include "core/undistortion.hpp"
@@ -37,147 +34,11 @@ namespace {
 
 // --- arrays --------------------------------------------------------------------------------------------------------
 
-template <class T>
-using AnyIn = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
-template <class T>
-using AnyOut = nb::ndarray<nb::numpy, T>;
-using AnyImage = nb::ndarray<nb::ro, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
-
-/// A new array that Python owns; its values are not set.
-template <class T>
-AnyOut<T> make_array(std::initializer_list<std::size_t> shape) {
-    std::size_t size = 1;
-    for (const std::size_t n : shape) size *= n;
-    auto data = std::make_unique_for_overwrite<T[]>(size);
-    T* raw = data.release();
-    prefer_large_pages(raw, size * sizeof(T));
-    nb::capsule owner(raw, [](void* p) noexcept { delete[] static_cast<T*>(p); });
-    return AnyOut<T>(raw, shape.size(), shape.begin(), owner);
-}
-
-/// View of an array (H, W) or (H, W, C) of any number of dimensions; an array of size 0 becomes an empty view.
-template <class Array>
-auto view_of(const Array& a) {
-    using T = std::remove_pointer_t<decltype(a.data())>;
-    if (a.size() == 0) return planish::Image<T>{};
-    return planish::Image<T>{a.data(), static_cast<int>(a.shape(0)), static_cast<int>(a.shape(1)),
-                             a.ndim() > 2 ? static_cast<int>(a.shape(2)) : 1};
-}
-
 planish::Camera make_camera(const AnyIn<double>& parameters) {
     return camera_from(parameters.data(), parameters.size());
 }
 
 // --- sensing -------------------------------------------------------------------------------------------------------
-
-template <class T>
-std::vector<planish::PhaseSteps<T>> make_steps(const std::vector<AnyImage>& images, const std::vector<int>& counts,
-                                               const std::vector<float>& angles_cos,
-                                               const std::vector<float>& angles_sin,
-                                               const std::vector<float>& periods) {
-    std::vector<planish::PhaseSteps<T>> steps(counts.size());
-    std::size_t next = 0;
-    for (std::size_t i = 0; i < counts.size(); ++i) {
-        steps[i].period_px = periods[i];
-        for (int k = 0; k < counts[i]; ++k, ++next) {
-            steps[i].images.push_back(static_cast<const T*>(images[next].data()));
-            steps[i].cos_angle.push_back(angles_cos[next]);
-            steps[i].sin_angle.push_back(angles_sin[next]);
-        }
-    }
-    return steps;
-}
-
-bool is_8_bit(const std::vector<AnyImage>& images) {
-    if (images.empty()) throw std::invalid_argument("no images");
-    const auto type = images.front().dtype();
-    for (const auto& image : images)
-        if (image.dtype() != type || image.shape(0) != images.front().shape(0) ||
-            image.shape(1) != images.front().shape(1))
-            throw std::invalid_argument("images differ in size or type");
-    if (type == nb::dtype<std::uint8_t>()) return true;
-    if (type == nb::dtype<std::uint16_t>()) return false;
-    throw std::invalid_argument("images must be uint8 or uint16");
-}
-
-nb::tuple decode_phase(const std::vector<AnyImage>& images, const std::vector<int>& counts,
-                       const std::vector<float>& angles_cos, const std::vector<float>& angles_sin,
-                       const std::vector<float>& periods, const AnyIn<float>& coarse, float saturation,
-                       float noise_offset, float noise_slope, float max_phase_sigma_rad, float coarse_limit_px,
-                       float range_start_px, float range_length_px, int threads) {
-    const bool narrow = is_8_bit(images);
-    const std::size_t h = images[0].shape(0), w = images[0].shape(1);
-    auto position = make_array<float>({h, w}), sigma = make_array<float>({h, w}), mean = make_array<float>({h, w}),
-         modulation = make_array<float>({h, w});
-    auto rejected = make_array<std::uint16_t>({h, w});
-    const planish::DecodeSettings settings{saturation,      noise_offset,   noise_slope,    max_phase_sigma_rad,
-                                           coarse_limit_px, range_start_px, range_length_px};
-    const planish::PhaseResult out{view_of(position), view_of(sigma), view_of(mean), view_of(modulation),
-                                   view_of(rejected)};
-    const auto coarse_view = view_of(coarse);
-    {
-        nb::gil_scoped_release release;
-        if (narrow)
-            planish::decode_phase(make_steps<std::uint8_t>(images, counts, angles_cos, angles_sin, periods),
-                                  coarse_view, settings, threads, out);
-        else
-            planish::decode_phase(make_steps<std::uint16_t>(images, counts, angles_cos, angles_sin, periods),
-                                  coarse_view, settings, threads, out);
-    }
-    return nb::make_tuple(position, sigma, mean, modulation, rejected);
-}
-
-template <class T>
-std::vector<planish::GrayBit<T>> make_bits(const std::vector<AnyImage>& images, const std::vector<int>& inverse) {
-    std::vector<planish::GrayBit<T>> bits;
-    for (std::size_t i = 0; i < inverse.size(); ++i)
-        bits.push_back({static_cast<const T*>(images[i].data()),
-                        inverse[i] < 0 ? nullptr : static_cast<const T*>(images[inverse[i]].data())});
-    return bits;
-}
-
-AnyOut<float> decode_gray(const std::vector<AnyImage>& images, const std::vector<int>& inverse,
-                          const AnyIn<float>& threshold, int threads) {
-    const bool narrow = is_8_bit(images);
-    auto cell = make_array<float>({images[0].shape(0), images[0].shape(1)});
-    const auto out = view_of(cell);
-    const auto limit = view_of(threshold);
-    nb::gil_scoped_release release;
-    if (narrow)
-        planish::decode_gray(make_bits<std::uint8_t>(images, inverse), limit, threads, out);
-    else
-        planish::decode_gray(make_bits<std::uint16_t>(images, inverse), limit, threads, out);
-    return cell;
-}
-
-template <class T>
-void gray_edges(const std::vector<AnyImage>& images, const std::vector<int>& inverse, int white, int black,
-                const planish::GrayEdgeSettings& settings, int threads, const planish::GrayEdgeResult& out) {
-    const auto single = [&](int index) { return index < 0 ? nullptr : static_cast<const T*>(images[index].data()); };
-    planish::gray_edges(make_bits<T>(images, inverse), single(white), single(black), settings, threads, out);
-}
-
-nb::tuple gray_edges(const std::vector<AnyImage>& images, const std::vector<int>& inverse, int white, int black,
-                     float cell_px, float saturation, float noise_offset, float noise_slope, float max_signal_sigma,
-                     float edge_bias_px, int threads) {
-    const bool narrow = is_8_bit(images);
-    const std::size_t h = images[0].shape(0), w = images[0].shape(1);
-    auto position = make_array<float>({h, w}), sigma = make_array<float>({h, w}), mean = make_array<float>({h, w}),
-         modulation = make_array<float>({h, w});
-    auto rejected = make_array<std::uint16_t>({h, w});
-    const planish::GrayEdgeSettings settings{cell_px,     saturation,       noise_offset,
-                                             noise_slope, max_signal_sigma, edge_bias_px};
-    const planish::GrayEdgeResult out{view_of(position), view_of(sigma), view_of(mean), view_of(modulation),
-                                      view_of(rejected)};
-    {
-        nb::gil_scoped_release release;
-        if (narrow)
-            gray_edges<std::uint8_t>(images, inverse, white, black, settings, threads, out);
-        else
-            gray_edges<std::uint16_t>(images, inverse, white, black, settings, threads, out);
-    }
-    return nb::make_tuple(position, sigma, mean, modulation, rejected);
-}
 
 AnyOut<float> undistortion_shifts(const AnyIn<double>& camera, int height, int width, int threads) {
     auto shifts = make_array<float>({static_cast<std::size_t>(height), static_cast<std::size_t>(width), 2});
@@ -186,22 +47,6 @@ AnyOut<float> undistortion_shifts(const AnyIn<double>& camera, int height, int w
     nb::gil_scoped_release release;
     planish::undistortion_shifts(model, threads, out);
     return shifts;
-}
-
-nb::tuple repair_periods(const AnyIn<float>& position, const AnyIn<float>& sigma, const AnyIn<std::uint16_t>& rejected,
-                         float period_px, float tolerance_px, float sigmas, int threads) {
-    const std::size_t h = position.shape(0), w = position.shape(1);
-    auto new_position = make_array<float>({h, w}), new_sigma = make_array<float>({h, w});
-    auto new_rejected = make_array<std::uint16_t>({h, w});
-    const auto p = view_of(position), s = view_of(sigma);
-    const auto r = view_of(rejected);
-    const auto np = view_of(new_position), ns = view_of(new_sigma);
-    const auto nr = view_of(new_rejected);
-    {
-        nb::gil_scoped_release release;
-        planish::repair_periods(p, s, r, period_px, tolerance_px, sigmas, threads, np, ns, nr);
-    }
-    return nb::make_tuple(new_position, new_sigma, new_rejected);
 }
 
 nb::tuple phase_edges(const AnyIn<float>& position, const AnyIn<float>& sigma, const AnyIn<std::uint16_t>& rejected,
@@ -414,12 +259,7 @@ AnyOut<std::uint8_t> islands(const AnyIn<float>& depth, const AnyIn<float>& sigm
 }  // namespace
 
 void bind_sensing(nb::module_& m) {
-    m.def("decode_phase", &decode_phase);
-    m.def("decode_gray", &decode_gray);
-    m.def("gray_edges", static_cast<nb::tuple (*)(const std::vector<AnyImage>&, const std::vector<int>&, int, int,
-                                                  float, float, float, float, float, float, int)>(&gray_edges));
     m.def("undistortion_shifts", &undistortion_shifts);
-    m.def("repair_periods", &repair_periods);
     m.def("phase_edges", &phase_edges);
     m.def("correspond", &correspond);
     m.def("temporal_statistics", &temporal_statistics);

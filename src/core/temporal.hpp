@@ -4,6 +4,7 @@
 #include <memory>
 #include <span>
 
+#include "core/grey_noise.hpp"
 #include "core/image.hpp"
 
 namespace planish {
@@ -26,11 +27,6 @@ TemporalStack interleave(std::span<const T* const> images, int height, int width
 
 extern template TemporalStack interleave(std::span<const std::uint8_t* const>, int, int, int);
 extern template TemporalStack interleave(std::span<const std::uint16_t* const>, int, int, int);
-
-/// Variance of a grey value I: offset + slope I; steps at and above `saturation` say nothing.
-struct GreyNoise {
-    float offset = 1, slope = 0, saturation = 255;
-};
 
 /// Mean of each pixel's vector over all steps, and the length of what is left without it.
 struct TemporalStatistics {

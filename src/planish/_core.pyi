@@ -131,15 +131,20 @@ def decode_phase(
     angles_sin: Sequence[float],
     periods: Sequence[float],
     coarse: F32,
-    saturation: float,
-    noise_offset: float,
-    noise_slope: float,
-    max_phase_sigma_rad: float,
-    coarse_limit_px: float,
-    range_start_px: float,
-    range_length_px: float,
+    settings: dict[str, Any],
     threads: int,
 ) -> tuple[F32, F32, F32, F32, U16]: ...
+def sample_disagreement(
+    images: Sequence[NDArray[Any]],
+    counts: Sequence[int],
+    angles_cos: Sequence[float],
+    angles_sin: Sequence[float],
+    periods: Sequence[float],
+    coarse: F32,
+    settings: dict[str, Any],
+    rows: Sequence[int],
+    threads: int,
+) -> tuple[F32, F32, F32, F32]: ...
 def decode_gray(images: Sequence[NDArray[Any]], inverse: Sequence[int], threshold: F32, threads: int) -> F32: ...
 def gray_edges(
     images: Sequence[NDArray[Any]],
@@ -156,8 +161,26 @@ def gray_edges(
 ) -> tuple[F32, F32, F32, F32, U16]: ...
 def undistortion_shifts(camera: F64, height: int, width: int, threads: int) -> F32: ...
 def repair_periods(
-    position: F32, sigma: F32, rejected: U16, period_px: float, tolerance_px: float, sigmas: float, threads: int
-) -> tuple[F32, F32, U16]: ...
+    position: F32,
+    sigma: F32,
+    rejected: U16,
+    period_px: float,
+    tolerance_px: float,
+    sigmas: float,
+    reflection_pixels: int,
+    threads: int,
+) -> None: ...
+def sample_noise(
+    images: Sequence[NDArray[Any]],
+    weights: Sequence[float],
+    rows: Sequence[int],
+    along_rows: bool,
+    level_beside: bool,
+    saturation: float,
+) -> tuple[F32, F32]: ...
+def bin_noise(
+    level: F32, residual: F32, bins: int, clip_sigmas: float, min_sigma: float
+) -> tuple[F64, F64, NDArray[np.int64]]: ...
 def phase_edges(
     position: F32, sigma: F32, rejected: U16, jump_px: float, sigmas: float, reason: int, threads: int
 ) -> tuple[F32, F32, U16]: ...

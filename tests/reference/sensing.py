@@ -179,3 +179,34 @@ def gray_edge_positions(lit, unlit, noise):
                 position[v, u] = (1 - w) * m0 + w * m1 - 0.5
                 sigma[v, u] = np.hypot((1 - w) * s0, w * s1) / (x1 - x0)
     return position, sigma
+
+
+def noise_sample(images, weights, rows, along_rows, saturation):
+    """Levels and residuals (n,) of a weighted sum of images by second differences; weights of both signs."""
+    stack = np.stack(images).astype(float)
+    value = np.tensordot(weights, stack, 1)
+    level = np.tensordot(np.square(weights), stack, 1)
+    brightest = stack.max(0)
+    levels, residuals = [], []
+    for row in rows:
+        for a, b, c in triples(row, value.shape[1], along_rows):
+            if max(brightest[a], brightest[b], brightest[c]) < saturation:
+                residuals.append((value[a] - 2 * value[b] + value[c]) / np.sqrt(6))
+                levels.append((level[a] + 4 * level[b] + level[c]) / 6)
+    return np.array(levels), np.array(residuals)
+
+
+def triples(row, width, along_rows):
+    """Index triples of neighbouring pixels in three rows."""
+    if along_rows:
+        return [[(row + i, u + k) for k in range(3)] for i in range(3) for u in range(0, width - 2, 3)]
+    return [[(row + k, u) for k in range(3)] for u in range(width)]
+
+
+def clipped_variance(residual, clip_sigmas, min_sigma):
+    """Variance of a sample without what lies far outside."""
+    scale = np.quantile(np.abs(residual), 0.6827)
+    for _ in range(3):
+        kept = residual[np.abs(residual) <= clip_sigmas * max(scale, min_sigma)]
+        scale = np.sqrt((kept**2).mean())
+    return scale**2

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planish.measurement import Finding, Map, NoiseModel, View
 from planish.sensing.correlate import temporal_view
-from planish.sensing.decode import DecodeOptions, PhaseMap
+from planish.sensing.decode import DecodeOptions, PhaseMap, decode
 from planish.sensing.decode.average import mean_image
 from planish.sensing.decode.gray import gray_offset, gray_positions
 from planish.sensing.decode.gray_edges import decode_gray_edges
@@ -20,7 +20,6 @@ from planish.sensing.images import GreyImage
 from planish.sensing.noise import estimate_noise, full_scale
 from planish.sensing.response import gamma_finding
 from planish.sensing.sequence import Layout
-from planish.sensing.unwrap import decode_unwrapped
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,7 @@ def observe(
 
 
 def _stack(images: Sequence[GreyImage], layout: Layout, subject: str, threads: int) -> _Stack:
-    saturation = full_scale(images)
+    saturation = full_scale(images, layout)
     gray = {
         code.axis: gray_positions(images, code, layout, threads)
         for code in layout.codes
@@ -139,8 +138,8 @@ def _observe(
             modulations.append(modulation)
             counts.append(count)
             continue
-        coarse = stack.gray[code.axis] - np.float32(offsets[code.axis]) if code.gray is not None else None
-        found = decode_unwrapped(stack.images, code, stack.noise, stack.saturation, options, threads, coarse)
+        coarse, offset = stack.gray.get(code.axis), offsets.get(code.axis, 0.0)
+        found = decode(stack.images, code, stack.noise, stack.saturation, options, threads, coarse, offset)
         phases[code.axis], mean, modulation = found
         means.append(mean)
         modulations.append(modulation)

@@ -9,6 +9,7 @@ import numpy as np
 from planish.errors import InputError
 from planish.sensing.capture import Manifest
 from planish.sensing.entries import Axis, Entry, Gray, Phase, Statistical
+from planish.sensing.unwrapping import BEST_NOISE, Ladder, Level, candidates, plan_levels
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,7 @@ class PeriodSteps:
     period_px: float
     sign: int
     images: tuple[int, ...]
+    wave: str = "sine"
 
     @property
     def angles(self) -> np.ndarray:
@@ -49,12 +51,15 @@ class AxisCode:
         Without it the periods together are absolute.
     extent_px : float or None
         Projector pixels along the axis, where known.
+    ladder : Ladder or None
+        How the periods are unwrapped; None where there are none.
     """
 
     axis: Axis
     periods: tuple[PeriodSteps, ...]
     gray: GrayCode | None
     extent_px: float | None
+    ladder: Ladder | None = None
 
     @property
     def phase_images(self) -> tuple[int, ...]:
@@ -158,23 +163,37 @@ def _axis_code(
     subject: str,
 ) -> AxisCode:
     periods = tuple(_period(subject, p, phases) for p in sorted({e.period_px for _, e in phases}, reverse=True))
-    code = AxisCode(axis, periods, _gray(subject, grays) if grays else None, extent)
-    if not periods:
-        return code
-    longest = periods[0].period_px
-    if code.gray is None and extent is not None and longest < extent:
+    gray = _gray(subject, grays) if grays else None
+    return AxisCode(axis, periods, gray, extent, _ladder(periods, gray, extent, subject) if periods else None)
+
+
+def _ladder(periods: tuple[PeriodSteps, ...], gray: GrayCode | None, extent: float | None, subject: str) -> Ladder:
+    lengths, steps = [p.period_px for p in periods], [len(p.images) for p in periods]
+    ladder = plan_levels(lengths, steps, extent, None if gray is None else gray.cell_px)
+    if ladder is None and gray is not None:
         raise InputError(
             f"{subject}: sequence",
-            f"the longest period is {longest:g} of {extent:g} projector px and there is no Gray code",
-            "a period as long as the projector, or Gray bits, to tell the fringes apart",
-        )
-    if code.gray is not None and code.gray.cell_px > longest:
-        raise InputError(
-            f"{subject}: sequence",
-            f"Gray cells of {code.gray.cell_px:g} px are longer than the longest period, {longest:g} px",
+            f"Gray cells of {gray.cell_px:g} px are longer than the longest period, {_longest(lengths)}",
             "cells of one period or less (half a period is robust)",
         )
-    return code
+    if ladder is None:
+        raise InputError(
+            f"{subject}: sequence",
+            f"the longest period is {_longest(lengths)} of {extent:g} projector px and there is no Gray code",
+            "a period or beat as long as the projector, or Gray bits, to tell the fringes apart",
+        )
+    if ladder.noise_limit < BEST_NOISE:
+        raise InputError(
+            f"{subject}: sequence",
+            f"{' to '.join(map(str, ladder.levels))} needs noise below {ladder.noise_limit:.1%} of the amplitude",
+            f"periods between: images with a noise of {BEST_NOISE:.0%} of the amplitude must tell the fringes apart",
+        )
+    return ladder
+
+
+def _longest(periods_px: list[float]) -> str:
+    level: Level = candidates(periods_px)[0]
+    return f"{max(periods_px):g}" if level.period_px <= max(periods_px) else str(level)
 
 
 def _period(subject: str, period_px: float, phases: list[tuple[int, Phase]]) -> PeriodSteps:
@@ -188,7 +207,7 @@ def _period(subject: str, period_px: float, phases: list[tuple[int, Phase]]) -> 
             f"period {period_px:g} px has steps {sorted(e.step for _, e in found)} of {steps}",
             f"each step 0 ... {steps - 1} once, with one number of steps and one sign",
         )
-    return PeriodSteps(period_px, sign, tuple(by_step[k] for k in range(steps)))
+    return PeriodSteps(period_px, sign, tuple(by_step[k] for k in range(steps)), found[0][1].wave)
 
 
 def _gray(subject: str, grays: list[tuple[int, Gray]]) -> GrayCode:

@@ -13,9 +13,12 @@ from planish.measurement import Map
 from planish.sensing.decode.average import mean_image
 from planish.sensing.images import GreyImage
 from planish.sensing.sequence import AxisCode, Layout
+from planish.sensing.unwrapping import Level
+
+Wave = NDArray[np.complex128]
 
 #: Every so many rows and columns serve to estimate the offset of the cells.
-SAMPLE_STRIDE = 6
+SAMPLE_STRIDE = 10
 #: Smallest agreement (length of the mean unit vector, 0 ... 1) at which cells and fringes belong together. Cells of
 #: half a period give 0.90, cells of a whole one 0, for their residuals fill the circle.
 MIN_AGREEMENT = 0.3
@@ -70,22 +73,40 @@ def gray_offset(views: Sequence[tuple[Sequence[GreyImage], Map]], code: AxisCode
     -----
     Circular mean of (Gray - phase) / P over all pixels with good modulation (Mardia & Jupp, Directional Statistics).
     """
-    steps = code.periods[0]
+    assert code.gray is not None
+    assert code.ladder is not None
+    level = code.ladder.levels[0]
+    if code.gray.cell_px > 0.75 * level.period_px:
+        return 0.0
     total, count = 0j, 0
     for images, position in views:
-        stack = np.stack([images[i][::SAMPLE_STRIDE, ::SAMPLE_STRIDE] for i in steps.images]).astype(float)
-        wave: NDArray[np.complex128] = np.tensordot(np.exp(1j * steps.angles), stack, 1)
-        usable = np.abs(wave) > MIN_MODULATION * np.quantile(np.abs(wave), 0.99)
-        gray = np.exp(2j * np.pi * position[::SAMPLE_STRIDE, ::SAMPLE_STRIDE][usable] / steps.period_px)
-        total += (gray * np.exp(-1j * np.angle(wave[usable]))).sum()
+        wave, amplitude = _level_wave(images, code, level)
+        usable = amplitude > MIN_MODULATION * np.quantile(amplitude, 0.99)
+        gray = np.exp(2j * np.pi * position[::SAMPLE_STRIDE, ::SAMPLE_STRIDE][usable] / level.period_px)
+        total += (gray * wave[usable].conj()).sum()
         count += int(usable.sum())
-    assert code.gray is not None
-    if code.gray.cell_px > 0.75 * steps.period_px:
-        return 0.0
     if count == 0 or abs(total) < MIN_AGREEMENT * count:
         raise InputError(
             f"{subject}: sequence",
             "Gray code and phase contradict each other nearly everywhere",
             "Gray bits in the right order (bit 0 the finest), the right cell_px, period_px and sign",
         )
-    return float(np.angle(total) * steps.period_px / (2 * np.pi))
+    return float(np.angle(total) * level.period_px / (2 * np.pi))
+
+
+def _level_wave(images: Sequence[GreyImage], code: AxisCode, level: Level) -> tuple[Wave, NDArray[np.float64]]:
+    """Return exp(i phase) of a level, and the smallest amplitude of its fringes, at the sampled pixels."""
+    product: Wave | None = None
+    least: NDArray[np.float64] | None = None
+    for coefficient, steps in zip(level.coefficients, code.periods, strict=True):
+        if coefficient == 0:
+            continue
+        stack = np.stack([images[i][::SAMPLE_STRIDE, ::SAMPLE_STRIDE] for i in steps.images]).astype(float)
+        wave: Wave = np.tensordot(np.exp(1j * steps.angles), stack, 1)
+        amplitude = np.abs(wave)
+        unit = (wave / np.maximum(amplitude, 1e-12)) ** coefficient
+        product = unit if product is None else product * unit
+        least = amplitude if least is None else np.minimum(least, amplitude)
+    assert product is not None
+    assert least is not None
+    return product, least
