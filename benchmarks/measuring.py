@@ -66,8 +66,11 @@ def main() -> None:
             pairs = correspond(phases["A"], phases["B"], rig.cameras["A"], rig.cameras["B"], threads)
             return triangulate(pairs, rig.cameras["A"], rig.cameras["B"], threads)
 
+        # To replace a file costs what it takes to forget the old one.
+        files = [Path(folder) / f"{run}.h5" for run in range(runs + 1)]
+
         def whole() -> None:
-            measure(capture, options, threads).save(Path(folder) / "m1.h5")
+            measure(capture, options, threads).save(files.pop())
 
         seconds = take_turns({"read": read, "decode": decode_both, "points": points, "whole": whole}, runs)
     rows = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -86,7 +87,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         capture.manifest, str(capture.path), None if rig.projector is None else rig.projector.size_px
     )
     seen = _observe(capture, rig, cameras, options, threads)
-    seen = {name: straighten(item, layouts[0].codes, name) for name, item in seen.items()}
+    seen = _straighten(seen, layouts[0], threads)
     located = _locate(seen, rig, layouts[0], capture.manifest.volume_mm, options, str(capture.path), threads)
     rejected = reject_points(
         located.points,
@@ -111,6 +112,12 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         resampled=False,
         findings=(*(finding for name in sorted(seen) for finding in seen[name].findings), *located.findings),
     )
+
+
+def _straighten(seen: Mapping[str, Observation], layout: Layout, threads: int) -> Mapping[str, Observation]:
+    with ThreadPoolExecutor(threads) as pool:
+        found = pool.map(lambda name: straighten(seen[name], layout.codes, name), seen)
+        return dict(zip(seen, found, strict=True))
 
 
 def _locate(

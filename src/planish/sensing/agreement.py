@@ -13,7 +13,7 @@ from planish.sensing.decode import PhaseMap
 from planish.sensing.triangulate import TriangulatedPoints
 
 #: Pixels along the side of a block; every SAMPLE_STRIDE-th of them is looked at. Noise averages out in a block.
-BLOCK, SAMPLE_STRIDE = 32, 4
+BLOCK, SAMPLE_STRIDE = 64, 8
 #: Blocks with fewer samples, and captures with fewer blocks, tell nothing.
 MIN_SAMPLES, MIN_BLOCKS = 32, 8
 #: Bins of the phase: enough for the third harmonic of four steps.
@@ -83,11 +83,13 @@ def _systematic(px: NDArray[np.floating], periods: NDArray[np.floating] | None) 
     medians[use] = np.nanmedian(blocks[use], axis=1)
     rest = blocks - medians[:, None]
     spread = 1.4826 * np.nanmedian(np.abs(rest[use]))
-    total = float(np.mean(medians[use] ** 2 - MEDIAN_VARIANCE * spread**2 / counts[use]))
+    squares = medians[use] ** 2 - MEDIAN_VARIANCE * spread**2 / counts[use]
+    total, total_sigma = float(np.mean(squares)), float(np.std(squares) / np.sqrt(use.sum()))
     if periods is not None:
         total = max(total, 0.0) + max(_ripple(rest, _blocks(periods, size), spread), 0.0)
     value = float(np.sqrt(max(total, 0.0)))
-    return Agreement(value, value / float(np.sqrt(2 * use.sum())))
+    # From the square to its root; near zero the root's own scatter is that of the square's root.
+    return Agreement(value, total_sigma / (2 * max(value, np.sqrt(total_sigma))) if total_sigma > 0 else 0.0)
 
 
 def _ripple(rest: NDArray[np.floating], periods: NDArray[np.floating], spread: float) -> float:

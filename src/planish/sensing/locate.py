@@ -163,7 +163,8 @@ def fill_by_projector(
     wanted = np.isnan(located.points.sigma_mm)
     wanted[::SAMPLE_STRIDE, ::SAMPLE_STRIDE] = True
     located = replace(located, phase=phases[located.phase.axis])
-    phases = {axis: phase.without(~wanted, "unmatched") for axis, phase in phases.items()}
+    nowhere = np.float32(np.nan)
+    phases = {a: replace(p, position_px=np.where(wanted, p.position_px, nowhere)) for a, p in phases.items()}
     try:
         found, phase, findings = _by_projector(phases, own, projector, options, subject, threads)
     except InputError as error:
@@ -177,14 +178,13 @@ def fill_by_projector(
     if agreement.systematic_px > options.projector_px:
         return replace(located, third=None)
     empty = np.isnan(located.points.sigma_mm) & np.isfinite(found.sigma_mm)
-    points, sigma, miss = (
-        np.array(x) for x in (located.points.points_sensor, located.points.sigma_mm, located.points.miss_px)
-    )
+    points, sigma, miss = located.points.points_sensor, located.points.sigma_mm, located.points.miss_px
+    # In place: nobody else holds these maps.
     points[empty] = found.points_sensor[empty]
     per_px = found.sigma_mm[empty] / phase.sigma_px[empty]
     sigma[empty] = np.hypot(found.sigma_mm[empty], np.float32(agreement.systematic_px) * per_px)
     miss[empty] = found.miss_px[empty]
-    return replace(located, points=TriangulatedPoints(points, sigma, miss))
+    return located
 
 
 def _by_projector(
