@@ -5,6 +5,7 @@
 // One function per layer of the library; each adds the layer's kernels to the module.
 
 void bind_sensing(nanobind::module_& m);
+void bind_checks(nanobind::module_& m);
 void bind_registration(nanobind::module_& m);
 void bind_evaluation(nanobind::module_& m);
 void bind_simulation(nanobind::module_& m);

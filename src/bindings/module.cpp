@@ -23,6 +23,7 @@ NB_MODULE(PLANISH_MODULE, m) {
     m.def("cpu_has_avx2", &cpu_has_avx2, "True where the AVX2 + FMA build of the kernels may be used.");
     m.def("cpu_count", [] { return static_cast<int>(std::thread::hardware_concurrency()); });
     bind_sensing(m);
+    bind_checks(m);
     bind_registration(m);
     bind_evaluation(m);
     bind_simulation(m);

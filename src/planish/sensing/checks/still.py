@@ -1,0 +1,131 @@
+"""Which images of a sequence show the same picture, so that the first of them can be compared with the last."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.measurement import Map
+from planish.sensing.images import GreyImage
+from planish.sensing.sequence import AxisCode, Layout
+
+#: Groups are joined with their neighbours in time until they hold so many images: less noise.
+JOINED_IMAGES = 4
+#: Gray bits shown without inverse are compared in their lit cells alone, so many of the first and of the last.
+LIT_BITS = 1
+#: Lit cells are this much brighter than half-way between lit and unlit.
+LIT_RATIO = 1.2
+#: Pixels beside the border of a lit cell, where lens and projector blur it.
+BORDER_PX = 2
+
+
+@dataclass(frozen=True)
+class Still:
+    """Images in whose mean the patterns cancel.
+
+    Parameters
+    ----------
+    images : tuple of int
+        Indices in the sequence.
+    name : str
+        In words.
+    lit_only : bool
+        True where only the lit cells of a Gray bit can be compared.
+    """
+
+    images: tuple[int, ...]
+    name: str
+    lit_only: bool = False
+
+    @property
+    def time(self) -> float:
+        """Mean place in the sequence."""
+        return float(np.mean(self.images))
+
+
+def stills(layouts: Sequence[Layout]) -> list[Still]:
+    """Return all groups of images that show the scene without patterns, in the order of time."""
+    found: list[Still] = []
+    for layout in layouts:
+        for code in layout.codes:
+            found += [Still(p.images, f"the fringes of {p.period_px:g} px") for p in code.periods]
+            found += _gray_stills(code)
+        found += [Still((i,), "white") for i in layout.white]
+    return sorted(found, key=lambda still: still.time)
+
+
+def _gray_stills(code: AxisCode) -> list[Still]:
+    if code.gray is None:
+        return []
+    bits = range(len(code.gray.images) - 1, -1, -1)
+    found = []
+    for bit, index, inverse in zip(bits, code.gray.images, code.gray.inverse, strict=True):
+        if inverse >= 0:
+            found.append(Still((index, inverse), f"Gray bit {bit} of axis {code.axis} and its inverse"))
+        else:
+            found.append(Still((index,), f"the lit cells of Gray bit {bit}", lit_only=True))
+    return found
+
+
+def first_and_last(found: Sequence[Still]) -> tuple[Still, Still] | None:
+    """Return the groups that lie farthest apart in time, or None where there are no two to compare.
+
+    Lit cells cover half of the image only: of two Gray bits nothing would be left, and fine cells hold no texture.
+    """
+    whole = [still for still in found if not still.lit_only]
+    if not whole:
+        return None
+    first, last = whole[0], whole[-1]
+    coarse = {still.images: still for still in found if still.lit_only}
+    before = [s for s in coarse.values() if s.time < first.time][:LIT_BITS]
+    # The coarsest bit after the fringes: bits are shown from the coarsest to the finest.
+    after = [s for s in coarse.values() if s.time > last.time][:LIT_BITS]
+    if before and last.time - before[0].time > 1.5 * (last.time - first.time):
+        return before[0], last
+    if after and after[0].time - first.time > 1.5 * (last.time - first.time):
+        return first, after[0]
+    return (_joined(whole, 1), _joined(whole[::-1], -1)) if last is not first else None
+
+
+def _joined(groups: Sequence[Still], direction: int) -> Still:
+    joined = groups[0]
+    # At most half of the groups: first and last have to differ.
+    for group in groups[1 : len(groups) // 2]:
+        if len(joined.images) >= JOINED_IMAGES:
+            break
+        parts = (joined, group)[::direction]
+        joined = Still(parts[0].images + parts[1].images, " and ".join(part.name for part in parts))
+    return joined
+
+
+def mean_of(images: Sequence[GreyImage], indices: Sequence[int], rows: slice) -> Map:
+    """Return the mean (rows, W) of some images."""
+    total = np.zeros(images[0][rows].shape, np.float32)
+    for index in indices:
+        cv2.accumulate(images[index][rows], total)
+    total *= np.float32(1 / len(indices))
+    return total
+
+
+def comparable(
+    images: Sequence[GreyImage], first: Still, last: Still, means: tuple[Map, Map], rows: slice, contrast: float,
+    saturation: float,
+) -> NDArray[np.uint8]:  # fmt: skip
+    """Return where (rows, W) two groups can be compared, 1 or 0: lit by the projector, nowhere saturated."""
+    indices = first.images + last.images
+    high, low = images[indices[0]][rows], images[indices[0]][rows]
+    for index in indices[1:]:
+        high, low = cv2.max(high, images[index][rows]), cv2.min(low, images[index][rows])
+    usable = (cv2.subtract(high, low) > contrast) & (high < saturation)
+    counts = usable.view(np.uint8)
+    for still, own, other in ((first, *means), (last, *means[::-1])):
+        if still.lit_only:
+            # Fringes show half the light on average: the cell is lit where it is brighter than that.
+            lit = (own > np.float32(LIT_RATIO) * other).view(np.uint8)
+            size = 2 * BORDER_PX + 1
+            counts = counts & cv2.erode(lit, np.ones((size, size), np.uint8))
+    return np.asarray(counts, np.uint8)
