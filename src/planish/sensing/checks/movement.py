@@ -20,10 +20,10 @@ from planish.sensing.sequence import Layout, PeriodSteps
 MAX_MOVEMENT_PX = 0.2
 #: Movements known less well [px] are not observable: there is too little texture.
 MAX_SIGMA_PX = 0.1
+#: ... where it exceeds that by so many standard deviations.
+REFUSE_SIGMAS = 3.0
 #: A part of the image moves where its shift differs from nothing by so many standard deviations.
 LOCAL_SIGMAS = 5.0
-#: Share of a movement by which gradients under noise misjudge it (simulated: up to 0.05 at 0.5 px).
-RELATIVE_SIGMA = 0.03
 #: Side of the windows [blocks] that are looked at one by one, and of the tiles in them that have to agree.
 WINDOW_BLOCKS, TILE_BLOCKS = 8, 4
 #: Image pixels that are looked at, in bands of whole windows: enough for 0.02 px on grain of 0.5 % contrast.
@@ -35,10 +35,6 @@ LIT_SIGMAS = 6.0
 #: Movements beyond one pixel are followed in images of a quarter of the size.
 COARSE = 4
 COARSE_FROM_PX = 1.0
-#: A window that does not even resemble itself: power of the difference against that of the mean image.
-UNLIKE = 1.0
-#: ... where the texture is so many times what noise makes.
-CLEAR_TEXTURE = 20.0
 
 
 @dataclass(frozen=True)
@@ -51,10 +47,10 @@ class Movement:
 
     @property
     def worst(self) -> Shift:
-        """The one of the two that is more surely a movement."""
-        if self.local is None or self.everywhere.at_least_px >= self.local.at_least_px:
+        """The one of the two that is more surely too large."""
+        if self.local is None:
             return self.everywhere
-        return self.local
+        return max(self.everywhere, self.local, key=lambda shift: shift.sigmas_beyond(MAX_MOVEMENT_PX))
 
 
 def check_movement(
@@ -160,13 +156,13 @@ def locate(sums: Sequence[BlockSums], tops: Sequence[int], pixel: int = 1) -> Mo
     every = BlockSums(*(np.concatenate([getattr(s, n).reshape(-1, *getattr(s, n).shape[2:]) for s in sums])
                         for n in BlockSums.__dataclass_fields__))  # fmt: skip
     everywhere = _scaled(solve_shift(every), pixel)
-    best, place = None, None
+    best, place, surest = None, None, 0.0
     for band, top in zip(sums, tops, strict=True):
         for window, row, column in _windows(band):
             shift = _scaled(solve_shift(window), pixel)
-            if shift.length_px < LOCAL_SIGMAS * shift.sigma_px or not _agree(window, shift, pixel):
-                continue
-            if best is None or shift.at_least_px > best.at_least_px:
+            beyond = shift.sigmas_beyond(MAX_MOVEMENT_PX)
+            if beyond > surest and shift.sigmas_beyond(0.0) > LOCAL_SIGMAS and _agree(window, shift, pixel):
+                surest = beyond
                 centre = BLOCK_PX * WINDOW_BLOCKS // 2
                 best, place = shift, (pixel * (column * BLOCK_PX + centre), top + pixel * (row * BLOCK_PX + centre))
     return Movement(everywhere, best, place)
@@ -232,8 +228,7 @@ def _shrunk(image: GreyImage) -> GreyImage:
 
 
 def _scaled(shift: Shift, factor: int) -> Shift:
-    relative = (RELATIVE_SIGMA * shift.length_px) ** 2 * np.eye(2)
-    return Shift(factor * shift.pixels, factor**2 * (shift.covariance + relative))
+    return Shift(factor * shift.pixels, factor**2 * shift.covariance)
 
 
 def _contrast_limit(mean: Array, noise: NoiseModel) -> float:
@@ -249,13 +244,13 @@ def _witness(layouts: Sequence[Layout]) -> PeriodSteps | None:
 
 def _judge(found: Movement, quantity: str, source: str, subject: str) -> Finding:
     worst = found.worst
-    if worst.sigma_px > MAX_SIGMA_PX and worst.at_least_px <= MAX_MOVEMENT_PX:
+    if worst.sigma_px > MAX_SIGMA_PX and worst.sigmas_beyond(MAX_MOVEMENT_PX) < REFUSE_SIGMAS:
         seen = f"{source}: too little texture, standard deviation {worst.sigma_px:.2g} px"
         return Finding(quantity, None, None, "px", seen if worst.sigma_px < 100 else f"{source}: no texture")
     where = "" if worst is found.everywhere or found.place_px is None else f", around pixel {found.place_px}"
-    if worst.worst_sigma_px > MAX_SIGMA_PX:
+    if not worst.seen:
         where += ", across the grain; along it not observable"
-    if worst.at_least_px > MAX_MOVEMENT_PX:
+    if worst.sigmas_beyond(MAX_MOVEMENT_PX) > REFUSE_SIGMAS:
         raise InputError(
             subject,
             f"{quantity}: {worst.length_px:.2f} +- {worst.sigma_px:.2f} px ({source}{where})",

@@ -27,8 +27,9 @@ MIN_TEXTURE_SHARE = 0.1
 UNKNOWN = 1e6
 #: Fewer blocks with texture say nothing about their scatter.
 MIN_BLOCKS = 6
-#: Standard deviations that a movement is taken to be shorter than it looks.
-SURE_SIGMAS = 3.0
+#: A movement is misjudged by this share of it (finite differences), and by this share of what is taken off the gradients'
+#: power as noise: simulated shifts of 0.1 to 0.5 px.
+RELATIVE_SIGMA, FLOOR_SIGMA = 0.03, 0.05
 
 _x = np.arange(-REACH_PX, REACH_PX + 1)
 _smooth = np.exp(-0.5 * (_x / BLUR_PX) ** 2)
@@ -89,28 +90,27 @@ class Shift:
         return float(np.hypot(*self.pixels))
 
     @property
+    def seen(self) -> bool:
+        """Whether it is observable in every direction."""
+        return bool(np.linalg.eigvalsh(self.covariance)[1] < 0.1 * UNKNOWN)
+
+    @property
     def sigma_px(self) -> float:
-        """Standard deviation of the length [px]; in the direction seen best where there is no movement."""
-        if self.length_px == 0:
-            return self.best_sigma_px
+        """Standard deviation of the length [px]; of the direction seen best where some are not observable."""
+        values = np.linalg.eigvalsh(self.covariance)
+        if self.length_px == 0 or not self.seen:
+            return float(np.sqrt(max(values[0], 0.0)))
         along = self.pixels / self.length_px
-        # Along the movement the precision counts: what is not observable across it does not matter.
-        return float(1 / np.sqrt(along @ np.linalg.inv(self.covariance) @ along))
+        return float(np.sqrt(along @ self.covariance @ along))
 
-    @property
-    def at_least_px(self) -> float:
-        """Length that noise can hardly be the reason of [px]."""
-        return self.length_px - SURE_SIGMAS * self.sigma_px
-
-    @property
-    def best_sigma_px(self) -> float:
-        """Standard deviation [px] in the direction that is seen best."""
-        return float(np.sqrt(max(np.linalg.eigvalsh(self.covariance)[0], 0.0)))
-
-    @property
-    def worst_sigma_px(self) -> float:
-        """Standard deviation [px] in the direction that is seen worst."""
-        return float(np.sqrt(np.linalg.eigvalsh(self.covariance)[1]))
+    def sigmas_beyond(self, limit_px: float) -> float:
+        """Return by how many standard deviations the movement is longer than a limit [px]; 0 where it is not."""
+        if self.length_px <= limit_px:
+            return 0.0
+        angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+        # The nearest of all movements of that length, in the metric of the covariance.
+        left = self.pixels - limit_px * np.stack([np.cos(angle), np.sin(angle)], -1)
+        return float(np.sqrt(np.einsum("ni,ij,nj->n", left, np.linalg.inv(self.covariance), left).min()))
 
 
 NOT_OBSERVABLE = Shift(np.zeros(2), UNKNOWN * np.eye(2))
@@ -162,6 +162,9 @@ def solve_shift(sums: BlockSums) -> Shift:
     by_noise = variance * inverse @ total @ inverse
     by_scatter = inverse @ (left.T @ left) @ inverse * count / max(count - 3, 1)
     covariance = max(by_noise[:2, :2], by_scatter[:2, :2], key=np.trace)
+    parts = (basis[:, seen].T @ blocks.right.sum(0)) / share[seen]
+    parts *= np.hypot(RELATIVE_SIGMA, FLOOR_SIGMA * (1 - share[seen]) / share[seen])
+    systematic = basis[:2, seen] * parts
     hidden = basis[:2, ~seen]
     hidden = hidden / np.maximum(np.linalg.norm(hidden, axis=0), 1e-12)
-    return Shift(x[:2], covariance + UNKNOWN * hidden @ hidden.T)
+    return Shift(x[:2], covariance + systematic @ systematic.T + UNKNOWN * hidden @ hidden.T)
