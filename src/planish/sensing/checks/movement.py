@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -121,7 +121,8 @@ def drift(
         usable = comparable(images, group, group, (mean, mean), rows, _contrast_limit(mean, noise), saturation)
         sums.append(block_sums(mean - ramp, mean + ramp, usable, noise, (share, share), threads))
         tops.append(rows.start)
-    return locate(sums, tops)
+    # Harmonics of the fringes may look like a movement of a window; over the image they average out.
+    return replace(locate(sums, tops), local=None, place_px=None)
 
 
 def drift_weights(steps: PeriodSteps) -> Array:

@@ -17,8 +17,8 @@ from planish.sensing.sequence import AxisCode, Layout
 JOINED_IMAGES = 4
 #: Gray bits shown without inverse are compared in their lit cells alone, so many of the first and of the last.
 LIT_BITS = 1
-#: Lit cells are this much brighter than half-way between lit and unlit.
-LIT_RATIO = 1.2
+#: Lit cells are brighter than this share of the brightness under full light.
+LIT_LEVEL = 0.6
 #: Pixels beside the border of a lit cell, where lens and projector blur it.
 BORDER_PX = 2
 
@@ -35,11 +35,14 @@ class Still:
         In words.
     lit_only : bool
         True where only the lit cells of a Gray bit can be compared.
+    light : float
+        Share of the projector's light in their mean.
     """
 
     images: tuple[int, ...]
     name: str
     lit_only: bool = False
+    light: float = 0.5
 
     @property
     def time(self) -> float:
@@ -54,7 +57,7 @@ def stills(layouts: Sequence[Layout]) -> list[Still]:
         for code in layout.codes:
             found += [Still(p.images, f"the fringes of {p.period_px:g} px") for p in code.periods]
             found += _gray_stills(code)
-        found += [Still((i,), "white") for i in layout.white]
+        found += [Still((i,), "white", light=1.0) for i in layout.white]
     return sorted(found, key=lambda still: still.time)
 
 
@@ -67,7 +70,7 @@ def _gray_stills(code: AxisCode) -> list[Still]:
         if inverse >= 0:
             found.append(Still((index, inverse), f"Gray bit {bit} of axis {code.axis} and its inverse"))
         else:
-            found.append(Still((index,), f"the lit cells of Gray bit {bit}", lit_only=True))
+            found.append(Still((index,), f"the lit cells of Gray bit {bit}", True, 1.0))
     return found
 
 
@@ -98,7 +101,9 @@ def _joined(groups: Sequence[Still], direction: int) -> Still:
         if len(joined.images) >= JOINED_IMAGES:
             break
         parts = (joined, group)[::direction]
-        joined = Still(parts[0].images + parts[1].images, " and ".join(part.name for part in parts))
+        images = parts[0].images + parts[1].images
+        light = sum(part.light * len(part.images) for part in parts) / len(images)
+        joined = Still(images, " and ".join(part.name for part in parts), light=light)
     return joined
 
 
@@ -122,10 +127,9 @@ def comparable(
         high, low = cv2.max(high, images[index][rows]), cv2.min(low, images[index][rows])
     usable = (cv2.subtract(high, low) > contrast) & (high < saturation)
     counts = usable.view(np.uint8)
-    for still, own, other in ((first, *means), (last, *means[::-1])):
+    for still, own, other, light in ((first, *means, last.light), (last, *means[::-1], first.light)):
         if still.lit_only:
-            # Fringes show half the light on average: the cell is lit where it is brighter than that.
-            lit = (own > np.float32(LIT_RATIO) * other).view(np.uint8)
+            lit = (own > np.float32(LIT_LEVEL / light) * other).view(np.uint8)
             size = 2 * BORDER_PX + 1
             counts = counts & cv2.erode(lit, np.ones((size, size), np.uint8))
     return np.asarray(counts, np.uint8)
