@@ -1,0 +1,72 @@
+"""How much of what the projector lights became points, and why the rest did not."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.errors import InputError
+from planish.measurement import REJECTIONS, Finding, rejection_bit
+
+#: A capture with fewer points than this share of the pixels that show patterns is worth a warning.
+FEW_SHARE = 0.2
+#: So many reasons are named, the most frequent first.
+NAMED_REASONS = 3
+#: What most likely lies behind a reason that outweighs the others.
+LIKELY = {
+    "masked": "mask or volume_mm leave out the part",
+    "dark": "too little light, or the patterns are not seen",
+    "saturated": "too much light or too long an exposure",
+    "slip": "periods, signs or order of the sequence",
+    "interreflection": "the part mirrors itself",
+    "mixed": "cameras out of focus, or a very rough surface",
+    "unmatched": "the cameras' calibration, cameras exchanged, or no common field of view",
+    "mismatch": "the calibration of the rig, above all of the projector",
+    "edge": "the part is seen at grazing incidence",
+    "isolated": "noise: too little light",
+}
+
+
+def check_coverage(rejected: NDArray[np.uint16], subject: str) -> Finding:
+    """Return the share of the lit pixels (H, W) that became points.
+
+    Raises
+    ------
+    InputError
+        Where there is no point at all.
+    """
+    unlit = (rejected & (rejection_bit("dark") | rejection_bit("masked"))) != 0
+    lit = int((~unlit).sum())
+    valid = int((rejected == 0).sum())
+    reasons = _counts(rejected)
+    first = max(reasons, key=lambda name: reasons[name], default="")
+    if valid == 0:
+        raise InputError(
+            subject, f"no point could be measured ({_text(reasons)})", f"points; most likely: {LIKELY.get(first, '')}"
+        )
+    share = valid / max(lit, 1)
+    warning = ""
+    if share < FEW_SHARE:
+        among_lit = {name: count for name, count in reasons.items() if name not in ("dark", "masked")}
+        first = max(among_lit, key=lambda name: among_lit[name], default=first)
+        warning = (
+            f"only {100 * share:.1f} % of the lit pixels became points ({_text(reasons)}); most likely: "
+            f"{LIKELY.get(first, '')}"
+        )
+    return Finding("points", 100 * share, None, "% of the lit pixels", _text(reasons) or "none rejected", warning)
+
+
+def _counts(rejected: NDArray[np.uint16]) -> dict[str, int]:
+    # Each pixel counts for its first reason. Sixteen bits: a table of all values instead of a pass per reason.
+    table = np.bincount(rejected.ravel(), minlength=1 << len(REJECTIONS))
+    found: dict[str, int] = {}
+    for value in np.flatnonzero(table):
+        if value:
+            name = REJECTIONS[int(value & -value).bit_length() - 1]
+            found[name] = found.get(name, 0) + int(table[value])
+    return found
+
+
+def _text(reasons: dict[str, int]) -> str:
+    named = sorted(reasons.items(), key=lambda item: -item[1])[:NAMED_REASONS]
+    return ", ".join(f"{name} {count}" for name, count in named)

@@ -1,0 +1,137 @@
+"""Whole periods that contradict each other nearly everywhere: which change of the declared sequence would end that?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from planish.errors import InputError
+from planish.measurement import rejection_bit
+from planish.sensing.decode import DecodeOptions, PhaseMap
+from planish.sensing.images import GreyImage
+from planish.sensing.observe import Observation, observe
+from planish.sensing.sequence import AxisCode, Layout, PeriodSteps
+
+#: Among the pixels that show fringes, slips are rare (beside edges, in noise): a larger share is no accident.
+MAX_SLIP_SHARE = 0.3
+#: A change of the sequence explains the slips where it leaves less than this share of them.
+EXPLAINED = 0.3
+#: Every so many rows and columns serve to try it.
+SAMPLE_STRIDE = 3
+
+
+def slip_share(phase: PhaseMap) -> float:
+    """Return the share of slips among the pixels that show fringes; 0 where there are none."""
+    shown = (phase.rejected & (rejection_bit("dark") | rejection_bit("saturated") | rejection_bit("masked"))) == 0
+    slipped = (phase.rejected & rejection_bit("slip")) != 0
+    return float(slipped[shown].mean()) if shown.any() else 0.0
+
+
+def worst_share(seen: Mapping[str, Observation]) -> float:
+    """Return the largest share of slips of all cameras and axes."""
+    return max((slip_share(p) for item in seen.values() for p in item.phases.values()), default=0.0)
+
+
+def require_consistent(
+    seen: Mapping[str, Observation], images: Mapping[str, Sequence[GreyImage]] | None, layout: Layout,
+    options: DecodeOptions, subject: str, threads: int,
+) -> None:  # fmt: skip
+    """Refuse a capture whose coarse and fine positions contradict each other nearly everywhere.
+
+    Parameters
+    ----------
+    seen : dict of Observation
+        What was decoded.
+    images : dict of sequences of ndarray (H, W), or None
+        The images of each camera, to try other sequences with; None: no other sequence is tried.
+    """
+    share = worst_share(seen)
+    if share <= MAX_SLIP_SHARE:
+        return
+    hint = explain(images, layout, options, share, subject, threads) if images is not None else ""
+    raise InputError(
+        f"{subject}: sequence",
+        f"in {100 * share:.0f} % of the lit pixels the whole periods of coarse and fine patterns contradict each other",
+        hint or "the periods, signs and order of steps and bits with which the images were taken",
+    )
+
+
+def explain(
+    images: Mapping[str, Sequence[GreyImage]], layout: Layout, options: DecodeOptions, share: float, subject: str,
+    threads: int,
+) -> str:  # fmt: skip
+    """Return in words the change of the declared sequence that makes the images fit, or nothing."""
+    few = {
+        name: [np.ascontiguousarray(image[::SAMPLE_STRIDE, ::SAMPLE_STRIDE]) for image in stack]
+        for name, stack in images.items()
+    }
+    for words, changed in _changes(layout):
+        try:
+            seen = observe(few.__getitem__, list(few), changed, options, subject, threads)
+        except InputError:
+            continue
+        if worst_share(seen) < EXPLAINED * share:
+            return words
+    return ""
+
+
+def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
+    for number, code in enumerate(layout.codes):
+        for words, changed in _code_changes(code):
+            yield f"{words} (axis {code.axis})", replace(
+                layout, codes=(*layout.codes[:number], changed, *layout.codes[number + 1 :])
+            )
+
+
+def _code_changes(code: AxisCode) -> Iterator[tuple[str, AxisCode]]:
+    periods = code.periods
+    if periods:
+        turned = tuple(_turned(p) for p in periods)
+        yield f"sign {turned[0].sign} for all periods", replace(code, periods=turned)
+    for k, period in enumerate(periods):
+        name = f"period {period.period_px:g} px"
+        yield f"sign {-period.sign} for {name}", _with(code, k, _turned(period))
+        for by in range(1, len(period.images)):
+            images = period.images[by:] + period.images[:by]
+            yield f"step 0 of {name} at its image number {by}", _with(code, k, replace(period, images=images))
+        for j in range(k):
+            other = periods[j]
+            if len(other.images) == len(period.images):
+                exchanged = _with(code, k, replace(period, images=other.images))
+                yield (
+                    f"the images of periods {other.period_px:g} and {period.period_px:g} px exchanged",
+                    _with(exchanged, j, replace(other, images=period.images)),
+                )
+    if code.gray is not None:
+        gray = code.gray
+        if len(gray.images) > 1:
+            backwards = replace(gray, images=gray.images[::-1], inverse=gray.inverse[::-1])
+            yield "Gray bits in the reverse order", replace(code, gray=backwards)
+        for factor in (0.5, 2.0):
+            yield f"cell_px {factor * gray.cell_px:g}", replace(code, gray=replace(gray, cell_px=factor * gray.cell_px))
+        if min(gray.inverse) >= 0:
+            swapped = replace(gray, images=gray.inverse, inverse=gray.images)
+            yield "Gray bits and their inverses exchanged", replace(code, gray=swapped)
+    yield from _other_periods(code)
+
+
+def _other_periods(code: AxisCode) -> Iterator[tuple[str, AxisCode]]:
+    for k, period in enumerate(code.periods[1:] if code.gray is None else code.periods, int(code.gray is None)):
+        for px in _round_numbers(period.period_px):
+            yield f"a period of {px:g} instead of {period.period_px:g} px", _with(code, k, replace(period, period_px=px))
+
+
+def _round_numbers(period_px: float) -> list[float]:
+    """Return periods that a slip of the pen may have meant: whole pixels nearby, halves and doubles."""
+    near = [float(round(period_px) + d) for d in (-4, -3, -2, -1, 1, 2, 3, 4)]
+    return [px for px in (*near, period_px / 2, 2 * period_px) if px >= 2 and px != period_px]
+
+
+def _turned(period: PeriodSteps) -> PeriodSteps:
+    return replace(period, sign=-period.sign)
+
+
+def _with(code: AxisCode, k: int, period: PeriodSteps) -> AxisCode:
+    return replace(code, periods=(*code.periods[:k], period, *code.periods[k + 1 :]))
