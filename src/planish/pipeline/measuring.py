@@ -16,10 +16,13 @@ from planish.measurement import Measurement
 from planish.options import Options, thread_count
 from planish.rig import Rig
 from planish.sensing.capture import Capture, ImageReader
+from planish.sensing.checks.coverage import check_coverage
+from planish.sensing.checks.slips import observe_consistent
+from planish.sensing.checks.swapped import check_rig
 from planish.sensing.correspond import correspond
 from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.images import GreyImage
-from planish.sensing.observe import Observation, observe, with_phases
+from planish.sensing.observe import Observation, with_phases
 from planish.sensing.reject import RejectOptions, reject_edges, reject_points
 from planish.sensing.sequence import Layout, read_layouts
 from planish.sensing.triangulate import triangulate
@@ -74,9 +77,11 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
     phase = seen[own].phases[axis]
     pairs = correspond(phase, seen[other].phases[axis], rig.cameras[own], rig.cameras[other], threads)
     found = triangulate(pairs, rig.cameras[own], rig.cameras[other], threads)
+    fit = check_rig(seen, pairs, found, rig, (own, other), axis, str(capture.path), threads)
     rejected = reject_points(
         found, phase, rig.cameras[own], rig.projector, capture.manifest.volume_mm, options.reject, threads
     )
+    coverage = check_coverage(rejected, str(capture.path))
     invalid = rejected != 0
     for array in (found.points_sensor, found.sigma_mm, pairs.pixel_px):
         array[invalid] = np.nan
@@ -91,7 +96,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         views={name: seen[name].view for name in sorted(seen)},
         texture_views=tuple(options.texture_views),
         resampled=False,
-        findings=tuple(finding for name in sorted(seen) for finding in seen[name].findings),
+        findings=(*(finding for name in sorted(seen) for finding in seen[name].findings), *fit, coverage),
     )
 
 
@@ -107,7 +112,8 @@ def _observe(
             _require_size(images[0], capture.image_path(name, 0), name, rig.cameras[name].size_px)
             return images
 
-        seen = observe(take, cameras, layout, options.decode, str(capture.path), threads)
+        subject, again = str(capture.path), partial(capture.read_images, threads=threads)
+        seen = observe_consistent(take, again, cameras, layout, options.decode, subject, threads)
     for name, mask in masks.items():
         if mask is not None:
             _require_size(mask, f"{capture.path}: mask.{name}", name, rig.cameras[name].size_px)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planish.measurement import Finding, Map, NoiseModel, View
+from planish.sensing.checks.images import check_images
 from planish.sensing.decode import DecodeOptions, PhaseMap, decode
 from planish.sensing.decode.average import mean_image
 from planish.sensing.decode.gray import gray_offset, gray_positions
@@ -39,12 +40,13 @@ class Observation:
 
 @dataclass(frozen=True)
 class _Stack:
-    """The images of one camera, their noise, and the positions by Gray code per axis."""
+    """The images of one camera, their noise, the positions by Gray code per axis, and what the images say."""
 
     images: Sequence[GreyImage]
     saturation: float
     noise: NoiseModel
     gray: dict[Axis, Map]
+    findings: tuple[Finding, ...]
 
 
 def observe(
@@ -75,16 +77,18 @@ def observe(
     workers = min(threads, len(cameras))
     own = max(1, threads // workers)
     with ThreadPoolExecutor(workers) as pool:
-        stacks = dict(zip(cameras, pool.map(lambda name: _stack(take(name), layout, own), cameras), strict=True))
+        stacks = dict(zip(cameras, pool.map(lambda name: _stack(name, take(name), layout, subject, own), cameras), strict=True))
         offsets = _gray_offsets(stacks, layout, subject)
         found = pool.map(lambda name: _observe(stacks[name], layout, offsets, options, own), cameras)
         return dict(zip(cameras, found, strict=True))
 
 
-def _stack(images: Sequence[GreyImage], layout: Layout, threads: int) -> _Stack:
+def _stack(name: str, images: Sequence[GreyImage], layout: Layout, subject: str, threads: int) -> _Stack:
     saturation = full_scale(images)
+    noise = estimate_noise(images, layout, saturation)
+    findings = check_images(images, (layout,), noise, saturation, name, subject, threads)
     gray = {code.axis: gray_positions(images, code, layout, threads) for code in layout.codes if code.gray is not None}
-    return _Stack(images, saturation, estimate_noise(images, layout, saturation), gray)
+    return _Stack(images, saturation, noise, gray, findings)
 
 
 def _gray_offsets(stacks: Mapping[str, _Stack], layout: Layout, subject: str) -> dict[Axis, float]:
@@ -115,7 +119,7 @@ def _observe(
         stack.noise,
         stack.saturation,
     )
-    return Observation(phases, view)
+    return Observation(phases, view, stack.findings)
 
 
 def _average(maps: Sequence[Map], counts: Sequence[int]) -> Map:

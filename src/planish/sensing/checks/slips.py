@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from planish.errors import InputError
 from planish.measurement import rejection_bit
 from planish.sensing.decode import DecodeOptions, PhaseMap
+from planish.sensing.decode.gray import Contradiction
 from planish.sensing.images import GreyImage
 from planish.sensing.observe import Observation, observe
 from planish.sensing.sequence import AxisCode, Layout, PeriodSteps
@@ -34,27 +35,37 @@ def worst_share(seen: Mapping[str, Observation]) -> float:
     return max((slip_share(p) for item in seen.values() for p in item.phases.values()), default=0.0)
 
 
-def require_consistent(
-    seen: Mapping[str, Observation], images: Mapping[str, Sequence[GreyImage]] | None, layout: Layout,
-    options: DecodeOptions, subject: str, threads: int,
-) -> None:  # fmt: skip
-    """Refuse a capture whose coarse and fine positions contradict each other nearly everywhere.
+def observe_consistent(
+    take: Callable[[str], Sequence[GreyImage]], again: Callable[[str], Sequence[GreyImage]], cameras: Sequence[str],
+    layout: Layout, options: DecodeOptions, subject: str, threads: int,
+) -> dict[str, Observation]:  # fmt: skip
+    """Return what each camera saw, as `observe` does.
 
     Parameters
     ----------
-    seen : dict of Observation
-        What was decoded.
-    images : dict of sequences of ndarray (H, W), or None
-        The images of each camera, to try other sequences with; None: no other sequence is tried.
+    take, cameras, layout, options, subject, threads
+        As in `observe`.
+    again : callable
+        Returns the images of a camera once more, to try other sequences with.
+
+    Raises
+    ------
+    InputError
+        Where coarse and fine positions contradict each other nearly everywhere; it says which sequence would fit.
     """
-    share = worst_share(seen)
+    try:
+        seen = observe(take, cameras, layout, options, subject, threads)
+        share = worst_share(seen)
+    except Contradiction:
+        seen, share = {}, 1.0
     if share <= MAX_SLIP_SHARE:
-        return
-    hint = explain(images, layout, options, share, subject, threads) if images is not None else ""
+        return seen
+    hint = explain({name: again(name) for name in cameras}, layout, options, share, subject, threads)
+    where = "nearly everywhere" if not seen else f"in {100 * share:.0f} % of the lit pixels"
     raise InputError(
         f"{subject}: sequence",
-        f"in {100 * share:.0f} % of the lit pixels the whole periods of coarse and fine patterns contradict each other",
-        hint or "the periods, signs and order of steps and bits with which the images were taken",
+        f"coarse and fine patterns contradict each other {where}",
+        f"{hint}: so the images fit" if hint else "the periods, signs, steps and bits with which the images were taken",
     )
 
 
