@@ -77,7 +77,8 @@ def observe(
     workers = min(threads, len(cameras))
     own = max(1, threads // workers)
     with ThreadPoolExecutor(workers) as pool:
-        stacks = dict(zip(cameras, pool.map(lambda name: _stack(name, take(name), layout, subject, own), cameras), strict=True))
+        read = pool.map(lambda name: _stack(name, take(name), layout, subject, own), cameras)
+        stacks = dict(zip(cameras, read, strict=True))
         offsets = _gray_offsets(stacks, layout, subject)
         found = pool.map(lambda name: _observe(stacks[name], layout, offsets, options, own), cameras)
         return dict(zip(cameras, found, strict=True))

@@ -1,1 +1,1 @@
-"""What a capture says about itself: one module per question; answers are findings, what cannot be used is an InputError."""
+"""What a capture says about itself: one module per question, answers as findings, what is unusable as InputError."""

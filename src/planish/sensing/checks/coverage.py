@@ -53,7 +53,7 @@ def check_coverage(rejected: NDArray[np.uint16], subject: str) -> Finding:
             f"only {100 * share:.1f} % of the lit pixels became points ({_text(reasons)}); most likely: "
             f"{LIKELY.get(first, '')}"
         )
-    return Finding("points", 100 * share, None, "% of the lit pixels", _text(reasons) or "none rejected", warning)
+    return Finding("coverage", 100 * share, None, "% of the lit pixels", _text(reasons) or "none rejected", warning)
 
 
 def _counts(rejected: NDArray[np.uint16]) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""Movement of part or sensor while the images of a sequence were taken, in camera pixels with its standard deviation."""
+"""Movement of part or sensor during a sequence, in camera pixels with its standard deviation."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 
 from planish.errors import InputError
 from planish.geometry import Array
-from planish.measurement import Finding, NoiseModel
+from planish.measurement import Finding, Map, NoiseModel
 from planish.sensing.checks.shift import BLOCK_PX, BlockSums, Shift, block_sums, solve_shift
-from planish.sensing.checks.still import Still, comparable, first_and_last, mean_of, stills
+from planish.sensing.checks.still import Still, comparable, mean_of, stills, to_compare
 from planish.sensing.images import GreyImage
 from planish.sensing.sequence import Layout, PeriodSteps
 
@@ -64,14 +64,14 @@ def check_movement(
     InputError
         Where the movement is larger than MAX_MOVEMENT_PX.
     """
-    findings = []
     quantity = f"movement in camera {camera}"
-    pair = first_and_last(stills(layouts))
-    if pair is None:
-        findings.append(Finding(quantity, None, None, "px", "no two groups of images show the same picture"))
-    else:
-        found = compare(images, *pair, noise, saturation, threads)
-        findings.append(_judge(found, quantity, f"{pair[0].name} against {pair[1].name}", subject))
+    finding = Finding(quantity, None, None, "px", "no two groups of images show the same picture")
+    for first, last in to_compare(stills(layouts)):
+        found = compare(images, first, last, noise, saturation, threads)
+        finding = _judge(found, quantity, f"{first.name} against {last.name}", subject)
+        if finding.value is not None:
+            break
+    findings = [finding]
     steps = _witness(layouts)
     if steps is not None:
         found = drift(images, steps, noise, saturation, threads)
@@ -126,7 +126,7 @@ def drift(
 
 
 def drift_weights(steps: PeriodSteps) -> Array:
-    """Return the weights (N,) of the steps that see a steady movement and no fringes; time is the place in the sequence."""
+    """Return the weights (N,) of the steps that see a steady movement over the places in the sequence, and no fringes."""
     time = np.asarray(steps.images, float)
     time = (time - time.min()) / (time.max() - time.min())
     fringes = np.stack([np.ones(len(time)), np.cos(steps.angles), np.sin(steps.angles)], -1)
@@ -232,7 +232,7 @@ def _scaled(shift: Shift, factor: int) -> Shift:
     return Shift(factor * shift.pixels, factor**2 * shift.covariance)
 
 
-def _contrast_limit(mean: Array, noise: NoiseModel) -> float:
+def _contrast_limit(mean: Map, noise: NoiseModel) -> float:
     level = float(mean[::8, ::8].mean())
     return LIT_SIGMAS * float(np.sqrt(max(noise.offset + noise.slope * level, 1 / 12)))
 

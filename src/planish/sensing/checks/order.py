@@ -1,7 +1,7 @@
 """The declared sequence against the images: order of the steps, light that changes with the patterns, saturation.
 
-All of it follows from one small matrix: the products of all images of the sequence, summed over some pixels. The residual of
-any order of the steps is a quadratic form of it, so that hundreds of orders are tried at no cost.
+All of it follows from one small matrix: the products of all images of the sequence, summed over some pixels. The
+residual of any order of the steps is a quadratic form of it, so that hundreds of orders are tried at no cost.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from planish.sensing.sequence import Layout, PeriodSteps
 
 #: Pixels that are looked at.
 SAMPLED_PX = 10_000
-#: The residual (rms) is compared with the amplitude of the fringes. Square waves leave 0.28, gamma 2.2 leaves 0.20 to 0.29,
-#: any wrong order of four or five steps more than 0.5.
+#: The residual (rms) is compared with the amplitude of the fringes. Square waves leave 0.28, gamma 2.2 leaves 0.20 to
+#: 0.29, any wrong order of four or five steps more than 0.5.
 WARN_RESIDUAL, MAX_RESIDUAL = 0.35, 0.6
 #: Residuals below this many times the noise's variance are noise.
 NOISE_RATIO = 4.0
@@ -57,9 +57,9 @@ def sample(images: Sequence[GreyImage], layout: Layout, saturation: float) -> Sa
     # Whole stretches of few rows: pixels side by side cost one access to memory.
     across = 2
     down = max(1, images[0].size // (across * SAMPLED_PX))
-    grey = np.stack([image[down // 2 :: down, ::across].ravel() for image in images])
+    grey = np.stack([np.asarray(image[down // 2 :: down, ::across], np.float32).ravel() for image in images])
     bright = (grey[list(layout.phase_images)] >= saturation).any(0)
-    return Sample(grey[:, ~bright].astype(np.float32), float(bright.mean()))
+    return Sample(grey[:, ~bright], float(bright.mean()))
 
 
 def check_order(
@@ -73,7 +73,7 @@ def check_order(
     InputError
         Where no fringes are seen, all is saturated, or the images are in another order than declared.
     """
-    findings = []
+    findings: list[Finding] = []
     for layout in layouts:
         if not layout.periods:
             continue
@@ -85,7 +85,8 @@ def check_order(
         products = _products(pixels.grey, layout)
         for period in (p for p in layout.periods if len(p.images) > 3):
             findings.append(_check_period(products, layout, period, pixels, noise, camera, subject))
-    return tuple(findings)
+    # One line per camera: the worst period.
+    return (max(findings, key=lambda finding: finding.value or 0.0),) if findings else ()
 
 
 def _require_fringes(
@@ -167,8 +168,8 @@ def _check_period(
             )
         if share > WARN_RESIDUAL:
             warning = f"{name}: the phase steps fit badly (residual {100 * share:.0f} % of the fringes' amplitude)"
-    return Finding(f"residual of the phase steps, {name}", 100 * share, None, "% of the amplitude", "fit of the steps",
-                   warning)  # fmt: skip
+    return Finding(f"residual of the phase steps in camera {camera}", 100 * share, None, "% of the amplitude",
+                   f"period {period.period_px:g} px", warning)  # fmt: skip
 
 
 def _better_list(products: Array, layout: Layout) -> str:

@@ -53,13 +53,19 @@ def check_projector_ray(
 ) -> Finding:
     """Return by how much the projector's own ray misses the points of the two cameras, in camera pixels."""
     rows = slice(RAY_ROWS // 2, None, RAY_ROWS)
+    points, sigma_mm, position, position_sigma = (
+        np.ascontiguousarray(a[rows]) for a in (found.points_sensor, found.sigma_mm, phase.position_px, phase.sigma_px)
+    )
     residual, sigma = _core.projector_residual(
         projector.kernel_parameters,
         0 if phase.axis == "u" else 1,
         own.center_sensor,
-        *(np.ascontiguousarray(a[rows]) for a in (found.points_sensor, found.sigma_mm, phase.position_px, phase.sigma_px)),
+        points,
+        sigma_mm,
+        position,
+        position_sigma,
         threads,
-    )  # fmt: skip
+    )
     per_pixel = max(position_slope(phase.position_px, 32), 1e-6)
     quantity = "miss of the projector's ray"
     # Tiles again: neighbours share the error of calibration, so that single pixels would feign certainty.
@@ -67,7 +73,9 @@ def check_projector_ray(
     if len(values) < MIN_TILES:
         return Finding(quantity, None, None, "px", "too few points")
     scatter = np.nanmedian(sigma) / per_pixel
-    miss = RowError(np.array(values) / per_pixel, np.full(len(values), float(scatter) / np.sqrt(TILE_PX)), len(values))
+    miss = RowError(
+        np.array(values, float) / per_pixel, np.full(len(values), float(scatter) / np.sqrt(TILE_PX)), len(values)
+    )
     warning = ""
     if miss.bad:
         warning = (

@@ -27,8 +27,8 @@ MIN_TEXTURE_SHARE = 0.1
 UNKNOWN = 1e6
 #: Fewer blocks with texture say nothing about their scatter.
 MIN_BLOCKS = 6
-#: A movement is misjudged by this share of it (finite differences), and by this share of what is taken off the gradients'
-#: power as noise: simulated shifts of 0.1 to 0.5 px.
+#: A movement is misjudged by this share of it (finite differences), and by this share of what is taken off the
+#: gradients' power as noise: simulated shifts of 0.1 to 0.5 px.
 RELATIVE_SIGMA, FLOOR_SIGMA = 0.03, 0.05
 
 _x = np.arange(-REACH_PX, REACH_PX + 1)
@@ -66,7 +66,9 @@ class BlockSums:
 
     def __getitem__(self, index: tuple[slice, ...] | NDArray[np.bool_]) -> BlockSums:
         """Return the sums of some blocks."""
-        return BlockSums(self.normal[index], self.right[index], self.power[index], self.floor[index], self.variance[index])
+        return BlockSums(
+            self.normal[index], self.right[index], self.power[index], self.floor[index], self.variance[index]
+        )
 
 
 @dataclass(frozen=True)
@@ -125,9 +127,7 @@ def block_sums(
 
     `usable` (H, W) is 1 where both images count, else 0.
     """
-    sums = _core.shift_sums(
-        first, last, usable, noise.offset, noise.slope, *shares, threads
-    )
+    sums = _core.shift_sums(first, last, usable, noise.offset, noise.slope, *shares, threads)
     order = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
     return BlockSums(sums[..., order], sums[..., 6:9], sums[..., 9], sums[..., 10], sums[..., 11])
 

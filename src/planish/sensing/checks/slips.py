@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from planish.errors import InputError
 from planish.measurement import rejection_bit
 from planish.sensing.decode import DecodeOptions, PhaseMap
@@ -74,10 +72,7 @@ def explain(
     threads: int,
 ) -> str:  # fmt: skip
     """Return in words the change of the declared sequence that makes the images fit, or nothing."""
-    few = {
-        name: [np.ascontiguousarray(image[::SAMPLE_STRIDE, ::SAMPLE_STRIDE]) for image in stack]
-        for name, stack in images.items()
-    }
+    few = {name: [_thinned(image) for image in stack] for name, stack in images.items()}
     for words, changed in _changes(layout):
         try:
             seen = observe(few.__getitem__, list(few), changed, options, subject, threads)
@@ -88,11 +83,17 @@ def explain(
     return ""
 
 
+def _thinned(image: GreyImage) -> GreyImage:
+    thin: GreyImage = image[::SAMPLE_STRIDE, ::SAMPLE_STRIDE].copy()
+    return thin
+
+
 def _changes(layout: Layout) -> Iterator[tuple[str, Layout]]:
     for number, code in enumerate(layout.codes):
         for words, changed in _code_changes(code):
-            yield f"{words} (axis {code.axis})", replace(
-                layout, codes=(*layout.codes[:number], changed, *layout.codes[number + 1 :])
+            yield (
+                f"{words} (axis {code.axis})",
+                replace(layout, codes=(*layout.codes[:number], changed, *layout.codes[number + 1 :])),
             )
 
 
@@ -131,7 +132,8 @@ def _code_changes(code: AxisCode) -> Iterator[tuple[str, AxisCode]]:
 def _other_periods(code: AxisCode) -> Iterator[tuple[str, AxisCode]]:
     for k, period in enumerate(code.periods[1:] if code.gray is None else code.periods, int(code.gray is None)):
         for px in _round_numbers(period.period_px):
-            yield f"a period of {px:g} instead of {period.period_px:g} px", _with(code, k, replace(period, period_px=px))
+            words = f"a period of {px:g} instead of {period.period_px:g} px"
+            yield words, _with(code, k, replace(period, period_px=px))
 
 
 def _round_numbers(period_px: float) -> list[float]:

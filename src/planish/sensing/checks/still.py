@@ -15,8 +15,8 @@ from planish.sensing.sequence import AxisCode, Layout
 
 #: Groups are joined with their neighbours in time until they hold so many images: less noise.
 JOINED_IMAGES = 4
-#: Gray bits shown without inverse are compared in their lit cells alone, so many of the first and of the last.
-LIT_BITS = 1
+#: Lit cells of a Gray bit are compared where they make the time between first and last so many times longer.
+LONGER = 1.5
 #: Lit cells are brighter than this share of the brightness under full light.
 LIT_LEVEL = 0.6
 #: Pixels beside the border of a lit cell, where lens and projector blur it.
@@ -74,24 +74,27 @@ def _gray_stills(code: AxisCode) -> list[Still]:
     return found
 
 
-def first_and_last(found: Sequence[Still]) -> tuple[Still, Still] | None:
-    """Return the groups that lie farthest apart in time, or None where there are no two to compare.
+def to_compare(found: Sequence[Still]) -> list[tuple[Still, Still]]:
+    """Return the pairs (first, last) of groups to be compared, the one that spans most of the time first.
 
     Lit cells cover half of the image only: of two Gray bits nothing would be left, and fine cells hold no texture.
     """
     whole = [still for still in found if not still.lit_only]
     if not whole:
-        return None
+        return []
     first, last = whole[0], whole[-1]
-    coarse = {still.images: still for still in found if still.lit_only}
-    before = [s for s in coarse.values() if s.time < first.time][:LIT_BITS]
-    # The coarsest bit after the fringes: bits are shown from the coarsest to the finest.
-    after = [s for s in coarse.values() if s.time > last.time][:LIT_BITS]
-    if before and last.time - before[0].time > 1.5 * (last.time - first.time):
-        return before[0], last
-    if after and after[0].time - first.time > 1.5 * (last.time - first.time):
-        return first, after[0]
-    return (_joined(whole, 1), _joined(whole[::-1], -1)) if last is not first else None
+    span = last.time - first.time
+    pairs = []
+    # Bits are shown from the coarsest to the finest: the first one before the fringes, or after them, counts.
+    before = [s for s in found if s.lit_only and s.time < first.time][:1]
+    after = [s for s in found if s.lit_only and s.time > last.time][:1]
+    if before and last.time - before[0].time > LONGER * span:
+        pairs.append((before[0], last))
+    elif after and after[0].time - first.time > LONGER * span:
+        pairs.append((first, after[0]))
+    if last is not first:
+        pairs.append((_joined(whole, 1), _joined(whole[::-1], -1)))
+    return pairs
 
 
 def _joined(groups: Sequence[Still], direction: int) -> Still:

@@ -41,9 +41,7 @@ class RigEvidence:
     @property
     def confirmed(self) -> bool:
         """Whether row errors or the projector's ray are seen, and small."""
-        return not self.contradicted and (
-            self.rows.observable or (self.ray is not None and self.ray.value is not None)
-        )
+        return not self.contradicted and (self.rows.observable or (self.ray is not None and self.ray.value is not None))
 
 
 def check_rig(
