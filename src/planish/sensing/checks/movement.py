@@ -32,6 +32,10 @@ SAMPLED_PX = 300_000
 DRIFT_PX = 150_000
 #: Contrast of the patterns, in standard deviations of a grey value, that shows that a pixel is lit.
 LIT_SIGMAS = 6.0
+#: Periods beyond this share of the projector are long: a window sees a part of one.
+LONG_SHARE = 0.1
+#: ... and the movement shows where the light, weighted by its time, is at least this share of the mean.
+SEEN_LIGHT = 0.3
 #: Movements beyond one pixel are followed in images of a quarter of the size.
 COARSE = 4
 COARSE_FROM_PX = 1.0
@@ -72,9 +76,10 @@ def check_movement(
         if finding.value is not None:
             break
     findings = [finding]
-    steps = _witness(layouts)
-    if steps is not None:
-        found = drift(images, steps, noise, saturation, threads)
+    witness = _witness(layouts)
+    if witness is not None:
+        steps, long = witness
+        found = drift(images, steps, long, noise, saturation, threads)
         name = f"the {len(steps.images)} steps of {steps.period_px:g} px"
         findings.append(_judge(found, f"movement within {name}, camera {camera}", f"fit residual of {name}", subject))
     return tuple(findings)
@@ -100,38 +105,47 @@ def compare(
 
 
 def drift(
-    images: Sequence[GreyImage], steps: PeriodSteps, noise: NoiseModel, saturation: float, threads: int
+    images: Sequence[GreyImage], steps: PeriodSteps, long: bool, noise: NoiseModel, saturation: float, threads: int
 ) -> Movement:
     """Return the steady movement over the steps of one period, from what the fit of the fringes leaves over.
 
     Notes
     -----
     I_k = A(x - s k / (N - 1)) + B cos(phi - angle_k): the weights w with sum w_k (1, cos, sin)(angle_k) = 0 and
-    sum w_k k / (N - 1) = 1 leave -s . grad A. Harmonics of the fringes stay in it; they count by their scatter.
+    sum w_k k / (N - 1) = 1 leave -s . grad A. Harmonics of the fringes stay in it; they count by their scatter. The
+    texture is lit by the fringes: what moves is sum w_k k / (N - 1) I_k, which is A where fringes are short against a
+    window (they average out in it), but not where they are `long`.
     """
-    weights = drift_weights(steps)
+    weights, time = drift_weights(steps)
     share = float(weights @ weights) / 2
     sums, tops = [], []
     group = Still(steps.images, "")
     for rows in bands(images[0].shape, DRIFT_PX):
         mean = mean_of(images, steps.images, rows)
-        ramp = np.zeros_like(mean)
-        for index, weight in zip(steps.images, weights, strict=True):
+        ramp, shown = np.zeros_like(mean), np.zeros_like(mean)
+        for index, weight, when in zip(steps.images, weights, time, strict=True):
             ramp += np.float32(weight / 2) * images[index][rows]
+            if long:
+                shown += np.float32(weight * when) * images[index][rows]
+        if not long:
+            shown = mean
         usable = comparable(images, group, group, (mean, mean), rows, _contrast_limit(mean, noise), saturation)
-        sums.append(block_sums(mean - ramp, mean + ramp, usable, noise, (share, share), threads))
+        if long:
+            # Where the weighted light is next to nothing, the movement cannot be seen.
+            usable &= (cv2.blur(shown, (BLOCK_PX, BLOCK_PX)) > np.float32(SEEN_LIGHT) * mean).view(np.uint8)
+        sums.append(block_sums(shown - ramp, shown + ramp, usable, noise, (share, share), threads))
         tops.append(rows.start)
     # Harmonics of the fringes may look like a movement of a window; over the image they average out.
     return replace(locate(sums, tops), local=None, place_px=None)
 
 
-def drift_weights(steps: PeriodSteps) -> Array:
-    """Return the weights (N,) of the steps that see a steady movement over the places in the sequence, and no fringes."""
+def drift_weights(steps: PeriodSteps) -> tuple[Array, Array]:
+    """Return weights (N,) of the steps that see a steady movement and no fringes, and the time (N,) from 0 to 1."""
     time = np.asarray(steps.images, float)
     time = (time - time.min()) / (time.max() - time.min())
     fringes = np.stack([np.ones(len(time)), np.cos(steps.angles), np.sin(steps.angles)], -1)
     left = time - fringes @ np.linalg.lstsq(fringes, time, rcond=None)[0]
-    return np.asarray(left / (left @ time))
+    return np.asarray(left / (left @ time)), time
 
 
 def bands(shape: tuple[int, ...], pixels: int) -> list[slice]:
@@ -156,11 +170,11 @@ def locate(sums: Sequence[BlockSums], tops: Sequence[int], pixel: int = 1) -> Mo
     """
     every = BlockSums(*(np.concatenate([getattr(s, n).reshape(-1, *getattr(s, n).shape[2:]) for s in sums])
                         for n in BlockSums.__dataclass_fields__))  # fmt: skip
-    everywhere = _scaled(solve_shift(every), pixel)
+    everywhere = _scaled(solve_shift(every, pixel == 1), pixel)
     best, place, surest = None, None, 0.0
     for band, top in zip(sums, tops, strict=True):
         for window, row, column in _windows(band):
-            shift = _scaled(solve_shift(window), pixel)
+            shift = _scaled(solve_shift(window, pixel == 1), pixel)
             beyond = shift.sigmas_beyond(MAX_MOVEMENT_PX)
             if beyond > surest and shift.sigmas_beyond(0.0) > LOCAL_SIGMAS and _agree(window, shift, pixel):
                 surest = beyond
@@ -196,7 +210,8 @@ def _agree(window: BlockSums, shift: Shift, pixel: int) -> bool:
     alike, known = 0, 0
     for row in range(0, window.power.shape[0], TILE_BLOCKS):
         for column in range(0, window.power.shape[1], TILE_BLOCKS):
-            tile = _scaled(solve_shift(window[row : row + TILE_BLOCKS, column : column + TILE_BLOCKS]), pixel)
+            part = window[row : row + TILE_BLOCKS, column : column + TILE_BLOCKS]
+            tile = _scaled(solve_shift(part, pixel == 1), pixel)
             sigma = float(1 / np.sqrt(along @ np.linalg.inv(tile.covariance) @ along))
             if sigma > shift.length_px / 2:
                 continue
@@ -237,10 +252,19 @@ def _contrast_limit(mean: Map, noise: NoiseModel) -> float:
     return LIT_SIGMAS * float(np.sqrt(max(noise.offset + noise.slope * level, 1 / 12)))
 
 
-def _witness(layouts: Sequence[Layout]) -> PeriodSteps | None:
-    """The period whose fit leaves most over: many steps, and long, for harmonics of long fringes are smooth."""
-    periods = [p for layout in layouts for p in layout.periods if len(p.images) > 3]
-    return max(periods, key=lambda p: (len(p.images), p.period_px), default=None)
+def _witness(layouts: Sequence[Layout]) -> tuple[PeriodSteps, bool] | None:
+    """Return the period whose fit leaves most over, and whether it is long.
+
+    Many steps leave much over; of long fringes the harmonics are smooth.
+    """
+    periods = [
+        (p, code.extent_px is not None and p.period_px > LONG_SHARE * code.extent_px)
+        for layout in layouts
+        for code in layout.codes
+        for p in code.periods
+        if len(p.images) > 3
+    ]
+    return max(periods, key=lambda item: (len(item[0].images), item[0].period_px), default=None)
 
 
 def _judge(found: Movement, quantity: str, source: str, subject: str) -> Finding:

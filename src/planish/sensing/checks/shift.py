@@ -132,8 +132,10 @@ def block_sums(
     return BlockSums(sums[..., order], sums[..., 6:9], sums[..., 9], sums[..., 10], sums[..., 11])
 
 
-def solve_shift(sums: BlockSums) -> Shift:
+def solve_shift(sums: BlockSums, noisy: bool = True) -> Shift:
     """Return the movement that all blocks together show.
+
+    `noisy` False: single pixels are averages without noise worth taking off, and their texture is as rough as noise.
 
     Notes
     -----
@@ -146,7 +148,7 @@ def solve_shift(sums: BlockSums) -> Shift:
     if count < MIN_BLOCKS:
         return NOT_OBSERVABLE
     total = blocks.normal.sum(0)
-    floor = blocks.floor[:, None] * FLOOR_GAIN
+    floor = blocks.floor[:, None] * FLOOR_GAIN * float(noisy)
     values, vectors = np.linalg.eigh(total)
     if values[0] <= 0:
         return NOT_OBSERVABLE
