@@ -150,12 +150,14 @@ class Strip {
                 }
             }
             const std::uint8_t* use = inner.row(k) + left;
-            const float *t0 = row(t_, k + kReach - 1) + left, *t1 = row(t_, k + kReach) + left;
+            const float *t0 = row(t_, k + kReach - 1) + left, *t1 = t0 + width_, *t2 = t1 + width_;
             const float* variance = row(variance_, k + kReach) + left;
             for (int u = 0; u < kShiftBlock; ++u) {
                 w[u] = static_cast<float>(use[u]);
                 // A pixel that counts has neighbours on all sides.
-                corner[u] = 0.5F * (t1[u] - t1[u + 1] - t0[u] + t0[u + 1]);
+                corner[u] = (t0[u - 1] - 2 * t0[u] + t0[u + 1] - 2 * (t1[u - 1] - 2 * t1[u] + t1[u + 1]) + t2[u - 1] -
+                             2 * t2[u] + t2[u + 1]) /
+                            6.0F;
             }
             for (int u = 0; u < kShiftBlock; ++u) {
                 const float x = w[u] * gu[u], y = w[u] * gv[u], t = w[u] * tt[u], e = ee[u];

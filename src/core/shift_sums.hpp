@@ -23,7 +23,8 @@ constexpr int kShiftBlock = 16;
 /// Sums over blocks of pixels, (H / kShiftBlock, W / kShiftBlock, kShiftSums).
 ///
 /// `usable` is 1 where both images count, else 0; pixels within reach of the filter of one that does not, do not count.
-/// kFloor sums the squared response of t to (1 -1; -1 1) / 2, which sees white noise, but hardly any texture.
+/// kFloor sums the squared response of t to the second difference along rows and columns, (1 -2 1)^T (1 -2 1) / 6,
+/// which sees white noise in full, but hardly any texture that a lens has blurred.
 void shift_sums(Image<const float> first, Image<const float> last, Image<const std::uint8_t> usable,
                 const PairNoise& noise, int threads, Image<double> sums);
 

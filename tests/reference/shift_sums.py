@@ -36,12 +36,14 @@ def shift_sums(first, last, usable, offset, slope, share_first, share_last):
         once = ndimage.correlate1d(image, along_v, axis=0, mode="nearest")
         return ndimage.correlate1d(once, along_u, axis=1, mode="constant")
 
-    gu, gv, tt, ee = (filtered(*a) for a in ((t, smooth, ramp), (t, ramp, smooth), (t, smooth, smooth), (e, smooth, smooth)))
-    corner = np.zeros_like(t)
-    corner[1:, :-1] = 0.5 * (t[1:, :-1] - t[1:, 1:] - t[:-1, :-1] + t[:-1, 1:])
+    gu, gv = filtered(t, smooth, ramp), filtered(t, ramp, smooth)
+    tt, ee = filtered(t, smooth, smooth), filtered(e, smooth, smooth)
+    second = np.array([1.0, -2.0, 1.0])
+    corner = ndimage.correlate(t, np.outer(second, second) / 6)
     variance = share_first * (offset + slope * first) + ratio**2 * share_last * (offset + slope * last)
     inner = ndimage.binary_erosion(usable > 0, np.ones((2 * REACH + 1, 2 * REACH + 1)))
-    products = (gu * gu, gu * gv, gu * tt, gv * gv, gv * tt, tt * tt, gu * ee, gv * ee, tt * ee, ee * ee, corner**2, variance)
+    normal = (gu * gu, gu * gv, gu * tt, gv * gv, gv * tt, tt * tt)
+    products = (*normal, gu * ee, gv * ee, tt * ee, ee * ee, corner**2, variance)
     rows, columns = (n // BLOCK for n in t.shape)
     cut = [(p * inner)[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK) for p in products]
     return np.stack([c.sum((1, 3)) for c in cut], -1)
