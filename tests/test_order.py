@@ -95,11 +95,11 @@ def test_saturation_everywhere_is_refused():
         (phase_entries(PERIODS), phase_entries((320, 20, 80)), "the images of periods 80 and 20 px exchanged"),
         (
             [*phase_entries([20]), *gray_entries(5, 10.0)],
-            [*phase_entries([20]), *gray_entries(5, 10.0)[::-1]],
-            "Gray bits in the reverse order",
+            [*phase_entries([20]), *gray_entries(5, 20.0)],
+            "cell_px 20",
         ),
     ],
-    ids=["sign", "period", "exchanged", "bits"],
+    ids=["sign", "period", "exchanged", "cells"],
 )  # fmt: skip
 def test_coarse_against_fine_names_the_sequence_that_fits(declared, shown, words):
     with pytest.raises(InputError, match=words):

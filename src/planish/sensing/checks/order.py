@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations, permutations
 
 import numpy as np
@@ -116,10 +117,11 @@ def _require_fringes(
 
 
 def _products(grey: NDArray[np.float32], layout: Layout) -> Array:
-    """Return the products (images, images) of all images, over the pixels where the finest fringes are seen well."""
+    """Return the products (images, images) of all images, over the pixels where the finest fringes have contrast."""
     period = layout.periods[-1]
-    amplitude = _amplitude(grey, period)
-    clear = amplitude > 0.3 * np.quantile(amplitude, 0.95)
+    # By contrast, not by the amplitude of the fit: in a wrong order that vanishes where the fit is worst.
+    contrast = np.ptp(grey[list(period.images)], axis=0)
+    clear = contrast > 0.3 * np.quantile(contrast, 0.95)
     shown = grey[:, clear]
     return np.asarray(shown @ shown.T, float) / max(int(clear.sum()), 1)
 
@@ -130,18 +132,36 @@ def _amplitude(grey: NDArray[np.float32], period: PeriodSteps) -> NDArray[np.flo
     return np.asarray(np.hypot(*waves) * (2 / len(steps)), np.float32)
 
 
-def residual_power(products: Array, images: Sequence[int], angles: Array) -> tuple[float, float]:
+def residual_power(
+    products: Array, images: Sequence[int], angles: Array, harmonics: Sequence[int] = (1,)
+) -> tuple[float, float]:
     """Return the residual's variance per degree of freedom and half the squared amplitude (mean over the pixels).
 
-    `images[k]` is taken as step k.
+    `images[k]` is taken as step k; the fringes may hold these `harmonics` of the cosine.
     """
     part = products[np.ix_(list(images), list(images))]
     steps = len(images)
-    fringes = np.stack([np.cos(angles), np.sin(angles)]) * np.sqrt(2 / steps)
-    constant = np.full(steps, steps**-0.5)
-    signal = float(np.einsum("ki,ij,kj->", fringes, part, fringes))
-    left = float(np.trace(part) - constant @ part @ constant) - signal
-    return max(left, 0.0) / (steps - 3), signal / steps
+    shown = _harmonics(tuple(angles), tuple(harmonics))
+    power = np.einsum("ki,ij,kj->k", shown, part, shown)
+    left = float(np.trace(part) - power.sum())
+    return max(left, 0.0) / (steps - len(shown)), float(power[1:3].sum()) / steps
+
+
+@lru_cache(maxsize=64)
+def _harmonics(angles: tuple[float, ...], harmonics: tuple[int, ...]) -> Array:
+    """Return an orthonormal basis (n, steps) of a constant and harmonics of the cosine."""
+    theta = np.array(angles)
+    rows = [np.ones(len(theta))]
+    for h in harmonics:
+        rows += [np.cos(h * theta), np.sin(h * theta)]
+    # At half the number of steps the sine vanishes.
+    return np.array([row / np.linalg.norm(row) for row in rows if np.linalg.norm(row) > 1e-6])
+
+
+def _families(steps: int) -> list[tuple[int, ...]]:
+    """Return sets of harmonics that real fringes hold: none but the first, odd ones (square waves), two (gamma)."""
+    odd = tuple(range(1, steps // 2 + 1, 2))
+    return [family for family in dict.fromkeys(((1,), odd, (1, 2))) if 2 * len(family) + 1 < steps or family == (1,)]
 
 
 def _check_period(
@@ -156,7 +176,7 @@ def _check_period(
     name = f"period {period.period_px:g} px, camera {camera}"
     warning = ""
     if left > NOISE_RATIO * variance:
-        found = _better_list(products, layout) or _better_order(products, period, left)
+        found = _better_list(products, layout) or _better_order(products, period, variance)
         if found:
             raise InputError(subject, f"camera {camera}: {found}", "the order of the sequence in capture.json")
         if share > MAX_RESIDUAL:
@@ -198,19 +218,27 @@ def _better_list(products: Array, layout: Layout) -> str:
     return min(good)[1] if good else ""
 
 
-def _better_order(products: Array, period: PeriodSteps, left: float) -> str:
+def _better_order(products: Array, period: PeriodSteps, variance: float) -> str:
     """Return in words which order of the steps fits the images of a period, or nothing."""
     steps = len(period.images)
-    best, words = BETTER * left, ""
-    for order, name in _orders(steps):
-        # order[j] is the step that image j shows.
-        images = [period.images[order.index(k)] for k in range(steps)]
-        power, _ = residual_power(products, images, period.angles)
-        if power < best:
-            best = power
+    orders = list(_orders(steps))
+    # order[j] is the step that image j shows.
+    listed = [[period.images[order.index(k)] for k in range(steps)] for order, _ in orders]
+    plain = [residual_power(products, images, period.angles)[0] for images in listed]
+    for family in _families(steps):
+        # Square waves leave so much over that an exchange of two of twelve steps drowns in it: other families follow.
+        left = residual_power(products, period.images, period.angles, family)[0]
+        if left < NOISE_RATIO * variance:
+            continue
+        good = [
+            k for k, images in enumerate(listed)
+            if residual_power(products, images, period.angles, family)[0] < BETTER * left
+        ]  # fmt: skip
+        if good:
+            order, name = orders[min(good, key=lambda k: plain[k])]
             steps_text = " ".join(str(k) for k in order) + f" ({name})" if name else _like_declared(order)
-            words = f"the images of period {period.period_px:g} px fit the order {steps_text}"
-    return words
+            return f"the images of period {period.period_px:g} px fit the order {steps_text}"
+    return ""
 
 
 def _orders(steps: int) -> Iterator[tuple[tuple[int, ...], str]]:

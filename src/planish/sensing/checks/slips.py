@@ -17,6 +17,8 @@ from planish.sensing.sequence import AxisCode, Layout, PeriodSteps
 MAX_SLIP_SHARE = 0.3
 #: A change of the sequence explains the slips where it leaves less than this share of them.
 EXPLAINED = 0.3
+#: Shorter periods no projector shows.
+MIN_PERIOD_PX = 2.0
 #: Every so many rows and columns serve to try it.
 SAMPLE_STRIDE = 3
 
@@ -73,14 +75,16 @@ def explain(
 ) -> str:  # fmt: skip
     """Return in words the change of the declared sequence that makes the images fit, or nothing."""
     few = {name: [_thinned(image) for image in stack] for name, stack in images.items()}
+    best, said = EXPLAINED * share, ""
     for words, changed in _changes(layout):
         try:
             seen = observe(few.__getitem__, list(few), changed, options, subject, threads)
         except InputError:
             continue
-        if worst_share(seen) < EXPLAINED * share:
-            return words
-    return ""
+        left = worst_share(seen)
+        if left < best:
+            best, said = left, words
+    return said
 
 
 def _thinned(image: GreyImage) -> GreyImage:
@@ -130,16 +134,15 @@ def _code_changes(code: AxisCode) -> Iterator[tuple[str, AxisCode]]:
 
 
 def _other_periods(code: AxisCode) -> Iterator[tuple[str, AxisCode]]:
-    for k, period in enumerate(code.periods[1:] if code.gray is None else code.periods, int(code.gray is None)):
-        for px in _round_numbers(period.period_px):
-            words = f"a period of {px:g} instead of {period.period_px:g} px"
-            yield words, _with(code, k, replace(period, period_px=px))
-
-
-def _round_numbers(period_px: float) -> list[float]:
-    """Return periods that a slip of the pen may have meant: whole pixels nearby, halves and doubles."""
-    near = [float(round(period_px) + d) for d in (-4, -3, -2, -1, 1, 2, 3, 4)]
-    return [px for px in (*near, period_px / 2, 2 * period_px) if px >= 2 and px != period_px]
+    """Yield periods that a slip of the pen may have meant: whole pixels nearby, the nearest first, halves, doubles."""
+    first = int(code.gray is None)  # the longest period has nothing to contradict it
+    for by in (-1, 1, -2, 2, -3, 3, -4, 4, None):
+        for k, period in enumerate(code.periods[first:], first):
+            px = period.period_px
+            for other in (px / 2, 2 * px) if by is None else (round(px) + by,):
+                if other >= MIN_PERIOD_PX and other != px:
+                    changed = _with(code, k, replace(period, period_px=float(other)))
+                    yield f"a period of {other:g} instead of {px:g} px", changed
 
 
 def _turned(period: PeriodSteps) -> PeriodSteps:
