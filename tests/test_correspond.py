@@ -17,6 +17,8 @@ INTERPOLATION_PX = 2e-3
 #: 16 px between the nodes of the table, against the exact inverse.
 TABLE_PX = 1e-4
 SIGMA = 0.01
+#: Single precision of the curve's row and of the place on it, at 200 px.
+ROUNDING_PX = 1e-4
 
 
 def phase_map(positions, sigma=SIGMA):
@@ -182,6 +184,51 @@ def test_two_cameras_at_one_place_are_refused():
     maps, a = plane_maps(rig), rig.cameras["A"]
     with pytest.raises(ValueError, match="same place"):
         correspond(maps["A"], maps["A"], a, a, 1)
+
+
+@pytest.mark.parametrize("distance_mm", [150, -150])
+def test_a_camera_in_front_of_or_behind_the_other_one_is_refused(distance_mm):
+    rig = small_rig()
+    maps, a = plane_maps(rig), rig.cameras["A"]
+    ahead = Camera.make(a.K, a.distortion, a.size_px, compose(np.eye(3), [4, -3, distance_mm]) @ a.T_camera_sensor)
+    with pytest.raises(ValueError, match="field of view"):
+        correspond(maps["A"], maps["A"], a, ahead, 1)
+
+
+def test_the_result_does_not_depend_on_where_the_rows_above_start():
+    """Rows cut off above: other starts, blocks of other rows; the same places but for rounding."""
+    rig = small_rig()
+    maps, (a, b) = plane_maps(rig), (rig.cameras["A"], rig.cameras["B"])
+    rng = np.random.default_rng(3)
+    own = maps["A"].position_px + rng.normal(0, 0.05, (150, 200)).astype(np.float32)
+    other = phase_map(maps["B"].position_px + rng.normal(0, 0.05, (150, 200)), 0.05)
+    whole = correspond(phase_map(own, 0.05), other, a, b, 1).pixel_px
+    own[:37] = np.nan
+    cut = correspond(phase_map(own, 0.05), other, a, b, 1).pixel_px
+    assert np.array_equal(np.isfinite(whole[37:]), np.isfinite(cut[37:]))
+    assert np.nanmax(np.abs(whole - cut)[37:]) < ROUNDING_PX
+
+
+def test_gaps_and_edges_of_the_image_take_the_crossing_alone():
+    """Where the spline's 4 x 4 pixels are not all there: bilinear, with its own weights in sigma."""
+    rig = small_rig()
+    maps, (a, b) = plane_maps(rig), (rig.cameras["A"], rig.cameras["B"])
+    truth, inside = visible(plane_points(a), b)
+    other = maps["B"].position_px.copy()
+    other[::4] = np.nan
+    found = correspond(maps["A"], phase_map(other), a, b, 2)
+    rows = truth[..., 1] % 4
+    # The curves rise by up to 0.15 px per column, and both columns of a crossing count.
+    bridged = inside & (rows > 1.2) & (rows < 2.8)
+    assert np.isfinite(found.pixel_px[bridged]).all()
+    assert np.abs(found.pixel_px - truth)[bridged].max() < INTERPOLATION_PX
+    v, u = np.round(truth[bridged]).astype(int).T[::-1]
+    slope = np.gradient(maps["B"].position_px, axis=1)[v, u]
+    share = (found.sigma_px[bridged] * slope / SIGMA) ** 2 - 1
+    # Weights of two columns and two rows: between 1/4 in the middle and 1 at a pixel.
+    assert share.min() > 0.25 - 0.1
+    assert 0.9 < share.max() < 1.1
+    assert not np.isfinite(found.pixel_px[inside & ((rows < 0.8) | (rows > 3.2))]).any()
 
 
 def test_a_rig_turned_as_a_whole_gives_turned_points():

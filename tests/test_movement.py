@@ -2,9 +2,6 @@
 
 import numpy as np
 import pytest
-from reference.shift_sums import shift_sums
-from sequences import gray_entries, manifest, phase_entries
-from textured import picture, sequence, texture
 
 from planish import _core
 from planish.errors import InputError
@@ -12,6 +9,9 @@ from planish.measurement import NoiseModel
 from planish.sensing.checks.movement import check_movement, compare, drift
 from planish.sensing.checks.still import stills, to_compare
 from planish.sensing.sequence import read_layouts
+from reference.shift_sums import shift_sums
+from sequences import gray_entries, manifest, phase_entries
+from textured import picture, sequence, texture
 
 NOISE = NoiseModel(1.44 + 1 / 12, 0.025)
 PERIODS = (1280, 160, 20)

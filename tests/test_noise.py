@@ -35,6 +35,15 @@ def test_variance_follows_the_grey_level(periods, steps):
         assert model.offset + model.slope * level == pytest.approx(OFFSET + SLOPE * level + 1 / 12, rel=RELATIVE)
 
 
+@pytest.mark.parametrize("steps", [5, 7])
+def test_an_odd_number_of_steps_over_a_part_of_a_period_biases_nothing(steps):
+    # Steps of odd N weigh differently: where the field holds a part of a period, some grey levels weigh more.
+    images, layout = images_of(phase_entries([900], steps))
+    model = estimate_noise(images, layout, 255.0)
+    for level in (60.0, 120.0):
+        assert model.offset + model.slope * level == pytest.approx(OFFSET + SLOPE * level + 1 / 12, rel=RELATIVE)
+
+
 def test_harmonics_of_a_gamma_are_no_noise():
     images, layout = images_of(phase_entries([320, 40], 4), gamma=1.0 / 1.3)
     model = estimate_noise(images, layout, 255.0)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from sequences import PROJECTOR_PX, gray_entries, manifest, phase_entries, render
 
 from planish.errors import InputError
 from planish.measurement import NoiseModel
@@ -10,6 +9,7 @@ from planish.sensing.checks.order import check_order
 from planish.sensing.checks.slips import observe_consistent
 from planish.sensing.decode import DecodeOptions
 from planish.sensing.sequence import read_layouts
+from sequences import PROJECTOR_PX, gray_entries, manifest, phase_entries, render
 
 NOISE = (1.44, 0.025)
 MODEL = NoiseModel(1.44 + 1 / 12, 0.025)
@@ -90,7 +90,11 @@ def test_saturation_everywhere_is_refused():
 @pytest.mark.parametrize(
     ("declared", "shown", "words"),
     [
-        (phase_entries(PERIODS), [*phase_entries(PERIODS[:2]), *phase_entries(PERIODS[2:], sign=-1)], "sign -1 for period 20 px"),
+        (
+            phase_entries(PERIODS),
+            [*phase_entries(PERIODS[:2]), *phase_entries(PERIODS[2:], sign=-1)],
+            "sign -1 for period 20 px",
+        ),
         (phase_entries((320, 80, 21)), phase_entries(PERIODS), "a period of 20 instead of 21 px"),
         (phase_entries(PERIODS), phase_entries((320, 20, 80)), "the images of periods 80 and 20 px exchanged"),
         (
@@ -109,3 +113,9 @@ def test_coarse_against_fine_names_the_sequence_that_fits(declared, shown, words
 def test_a_right_sequence_is_decoded():
     seen = decode(phase_entries(PERIODS), phase_entries(PERIODS))
     assert np.isfinite(seen["A"].phases["u"].position_px).mean() > 0.9
+
+
+def test_one_dark_and_one_saturated_exposure_are_no_reason_to_refuse():
+    declared = [{**entry, "exposure_ms": 4.0} for entry in phase_entries(PERIODS, 4)]
+    assert check(declared, declared, offset=400.0) == ()
+    assert [finding.warning for finding in check(declared, declared, amplitude=0.0)] in ([], [""])

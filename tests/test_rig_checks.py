@@ -108,5 +108,5 @@ def test_few_points_are_warned_of_with_the_likely_cause():
 
 
 def test_no_point_at_all_is_refused_with_counts():
-    with pytest.raises(InputError, match="no point could be measured .*dark 10000.*too little light"):
+    with pytest.raises(InputError, match=r"no point could be measured .*dark 10000.*too little light"):
         check_coverage(rejected(dark=100), "capture.json")

@@ -8,13 +8,29 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cstddef>
+#include <cstdint>
 #include <stdexcept>
+#ifdef __linux__
+#include <sys/mman.h>
+#endif
 
 #include "core/camera.hpp"
 #include "core/image.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
+
+/// Asks for large pages: fresh ones of 4 kB cost as much time as filling them.
+inline void prefer_large_pages([[maybe_unused]] void* memory, [[maybe_unused]] std::size_t bytes) {
+#ifdef __linux__
+    constexpr std::uintptr_t kPage = 4096;
+    constexpr std::size_t kLarge = std::size_t{1} << 22;
+    if (bytes < kLarge) return;
+    const auto first = (reinterpret_cast<std::uintptr_t>(memory) + kPage - 1) & ~(kPage - 1);
+    const auto last = (reinterpret_cast<std::uintptr_t>(memory) + bytes) & ~(kPage - 1);
+    madvise(reinterpret_cast<void*>(first), last - first, MADV_HUGEPAGE);
+#endif
+}
 
 template <class T, int N>
 using In = nb::ndarray<const T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;

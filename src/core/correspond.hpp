@@ -3,13 +3,14 @@
 #include <Eigen/Core>
 #include <cstdint>
 
+#include "core/curve_search.hpp"
 #include "core/image.hpp"
 
 namespace planish {
 
-/// A decoded camera for the search: absolute position, its sigma and, where the lens distorts, the shift (u, v) of each
-/// pixel to its undistorted place.
-struct PhaseView {
+/// The organising camera: absolute position, its sigma and, where the lens distorts, the shift (u, v) of each pixel to
+/// its undistorted place.
+struct OwnView {
     Image<const float> position_px, sigma_px, shift_px;
 };
 
@@ -20,12 +21,13 @@ struct CorrespondResult {
 
 /// For every pixel of `own`, the sub-pixel place of equal position in `other`, on the pixel's exact epipolar curve.
 ///
-/// F (3, 3) maps an undistorted pixel of `own` to its epipolar line in undistorted pixels of `other`, the lines being
-/// nearer to rows than to columns. A crossing lies between two successive columns whose positions, interpolated along
-/// the column at the curve, enclose the one looked for. Started from the neighbour to the left; where that fails, the
-/// whole curve is searched. Of several crossings the one nearest to the continuation of the row counts; without one,
-/// none.
-void correspond(const PhaseView& own, const PhaseView& other, const Eigen::Matrix3d& F, int threads,
+/// F (3, 3) maps an undistorted pixel of `own` to its epipolar line in undistorted pixels of `other` (exchanged like
+/// its maps), the lines being nearer to rows than to columns. A crossing lies between two successive columns whose
+/// positions, interpolated along the column at the curve, enclose the one looked for. Looked for first where the row
+/// above continues, then where the pixel to the left does; where both fail, on the whole curve. Of several crossings
+/// the one nearest to the continuation counts; without one, none. The start decides which crossing is found, not
+/// where in it: that depends on it by rounding alone (1e-4 px).
+void correspond(const OwnView& own, const OtherView& other, const Eigen::Matrix3d& F, int threads,
                 const CorrespondResult& out);
 
 }  // namespace planish

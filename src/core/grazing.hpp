@@ -14,8 +14,8 @@ struct GrazingLimits {
 };
 
 /// Marks with 1 the points on surfaces seen under grazing light, and those at the rim of the lit surface whose depth
-/// depends on which part of the pixel is lit. `lit` is 0 where the own camera could not decode a position.
-void grazing_points(Image<const float> depth_mm, Image<const float> sigma_mm, Image<const std::uint8_t> lit,
+/// depends on which part of the pixel is lit. `position_px` is NaN where the own camera could not decode one.
+void grazing_points(Image<const float> depth_mm, Image<const float> sigma_mm, Image<const float> position_px,
                     const GrazingLimits& limits, int threads, Image<std::uint8_t> grazing);
 
 }  // namespace planish

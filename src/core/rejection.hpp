@@ -16,6 +16,7 @@ enum Rejection : std::uint16_t {
     kMismatch = 128,
     kEdge = 256,
     kIsolated = 512,
+    kAmbiguous = 1024,
 };
 
 }  // namespace planish

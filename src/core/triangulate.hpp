@@ -19,16 +19,12 @@ struct TriangulateResult {
     Image<float> miss_px;        ///< distance of the point's image from the given pixel, across the epipolar line
 };
 
-/// The point of each own pixel's ray that is nearest to the ray of the corresponding pixel of the other camera.
+/// The point of each own pixel's ray whose image in the other camera is nearest to the corresponding pixel, lens
+/// distortion removed.
 ///
-/// `sigma_px` is the standard deviation of the corresponding pixel along its epipolar line.
-void triangulate(const ViewGeometry& own, const ViewGeometry& other, Image<const float> pixel_px,
-                 Image<const float> sigma_px, int threads, const TriangulateResult& out);
-
-/// Position of each point in the projector (axis 0: u, 1: v), less the decoded position, and its standard deviation.
-void projector_residual(const Camera& projector, int axis, const Eigen::Vector3d& center_own,
-                        Image<const float> points_sensor, Image<const float> sigma_mm, Image<const float> position_px,
-                        Image<const float> position_sigma_px, int threads, Image<float> residual_px,
-                        Image<float> residual_sigma_px);
+/// `sigma_px` is the standard deviation of the corresponding pixel along its epipolar line. Single precision: its
+/// rounding is that of a pixel of 1e-4 px, a hundredth of the least standard deviations there are.
+void triangulate(const ViewGeometry& own, const Camera& other, Image<const float> pixel_px, Image<const float> sigma_px,
+                 int threads, const TriangulateResult& out);
 
 }  // namespace planish

@@ -141,24 +141,56 @@ def decode_phase(
     threads: int,
 ) -> tuple[F32, F32, F32, F32, U16]: ...
 def decode_gray(images: Sequence[NDArray[Any]], inverse: Sequence[int], threshold: F32, threads: int) -> F32: ...
+def gray_edges(
+    images: Sequence[NDArray[Any]],
+    inverse: Sequence[int],
+    white: int,
+    black: int,
+    cell_px: float,
+    saturation: float,
+    noise_offset: float,
+    noise_slope: float,
+    max_signal_sigma: float,
+    edge_bias_px: float,
+    threads: int,
+) -> tuple[F32, F32, F32, F32, U16]: ...
 def undistortion_shifts(camera: F64, height: int, width: int, threads: int) -> F32: ...
 def repair_periods(
     position: F32, sigma: F32, rejected: U16, period_px: float, tolerance_px: float, sigmas: float, threads: int
 ) -> tuple[F32, F32, U16]: ...
-def phase_edges(position: F32, sigma: F32, jump_px: float, sigmas: float, threads: int) -> U8: ...
+def phase_edges(
+    position: F32, sigma: F32, rejected: U16, jump_px: float, sigmas: float, reason: int, threads: int
+) -> tuple[F32, F32, U16]: ...
+def temporal_statistics(images: Sequence[NDArray[Any]], saturation: float, threads: int) -> tuple[F32, F32, U8]: ...
+def correlate(
+    own_images: Sequence[NDArray[Any]],
+    own_shift: F32,
+    other_images: Sequence[NDArray[Any]],
+    other_shift: F32,
+    noise: F32,
+    F: F64,
+    min_steps: int,
+    max_loss: F32,
+    sure_loss: F32,
+    max_misfit: F32,
+    model_loss: float,
+    min_gap: float,
+    range_px: F32,
+    range_spacing: int,
+    threads: int,
+) -> tuple[F32, F32, U16]: ...
 def correspond(
     own_position: F32,
     own_sigma: F32,
     own_shift: F32,
     other_position: F32,
     other_sigma: F32,
-    other_shift: F32,
+    other_camera: F64,
+    transposed: bool,
     F: F64,
     threads: int,
 ) -> tuple[F32, F32]: ...
-def triangulate(
-    own: F64, own_shift: F32, other: F64, other_shift: F32, pixel: F32, sigma: F32, threads: int
-) -> tuple[F32, F32, F32]: ...
+def triangulate(own: F64, own_shift: F32, other: F64, pixel: F32, sigma: F32, threads: int) -> tuple[F32, F32, F32]: ...
 def projector_residual(
     projector: F64,
     axis: int,
@@ -169,17 +201,34 @@ def projector_residual(
     position_sigma: F32,
     threads: int,
 ) -> tuple[F32, F32]: ...
+def check_points(
+    points: F32,
+    sigma_mm: F32,
+    miss: F32,
+    position: F32,
+    position_sigma: F32,
+    rejected: U16,
+    own: F64,
+    projector: F64,
+    axis: int,
+    limits: Sequence[float],
+    reasons: Sequence[int],
+    threads: int,
+) -> tuple[U16, F32]: ...
+def drop_rejected(rejected: U16, values: F32, threads: int) -> None: ...
 def grazing_points(
     depth: F32,
     sigma: F32,
-    lit: U8,
+    position: F32,
     pixel_size: float,
     max_slope: float,
     rim_px: float,
     sigmas: float,
     threads: int,
 ) -> U8: ...
-def islands(depth: F32, sigma: F32, depth_per_pixel: float, sigmas: float, min_pixels: int) -> U8: ...
+def islands(
+    depth: F32, sigma: F32, excluded: U8, depth_per_pixel: float, sigmas: float, min_pixels: int, threads: int
+) -> U8: ...
 def shift_sums(
     first: F32,
     last: F32,

@@ -30,6 +30,7 @@ REJECTIONS = (
     "mismatch",  # the rays miss each other, or the third device's ray contradicts the point
     "edge",  # beside the rim of what is lit, or seen at grazing incidence
     "isolated",  # a small island without support from its neighbours
+    "ambiguous",  # two places on the epipolar line fit alike
 )
 
 

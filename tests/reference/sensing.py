@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
+from scipy.special import erfinv
+from scipy.stats import norm
 
 
 def decode(stacks, angles, periods, coarse=None, start=0.0):
@@ -103,6 +107,17 @@ def grazing(depth, sigma, lit, pixel_size, max_slope, rim_px, sigmas):
     return np.isfinite(depth) & (steep | (rim & (rim_px * change > sigmas * sigma)))
 
 
+def reasons_of_points(points, miss, residual, spread, rejected, low, high, limits, bits):
+    """Bit mask (H, W) of what a point alone gives: no point, outside the box, rays that contradict each other."""
+    max_miss, projector_px, sigmas = limits
+    unmatched, outside, mismatch = bits
+    valid = np.isfinite(points[..., 2])
+    inside = ((points >= low) & (points <= high)).all(-1)
+    result = rejected + unmatched * (~valid & (rejected == 0))
+    result |= outside * (valid & ~inside)
+    return result | mismatch * ((np.abs(miss) > max_miss) | (np.abs(residual) > projector_px + sigmas * spread))
+
+
 def edges_of_row(p, limit):
     """Pixels beside a jump of one line: a difference that fewer than two of its four neighbours resemble."""
     d = np.diff(p)
@@ -113,3 +128,30 @@ def edges_of_row(p, limit):
         if np.isfinite(step) and alike < min(len(others), 2):
             edge[i] = edge[i + 1] = True
     return edge
+
+
+def gray_edge_positions(lit, unlit, noise):
+    """Positions and sigma (H, W) between the edges along the rows; bits (n, H, W), most significant first."""
+    count, height, width = lit.shape
+    every = np.concatenate([lit, unlit])
+    amplitude = every.max(0) - every.min(0)
+    score = np.sqrt(2) * erfinv(np.clip((lit - unlit) / amplitude, -0.97, 0.97))
+    variance = 2 * (noise.offset + noise.slope * (every.max(0) + every.min(0)) / 2) / amplitude**2
+    cells = gray_cells(lit > unlit)
+    position, sigma = np.full((height, width), np.nan), np.full((height, width), np.nan)
+    for v in range(height):
+        edges = []
+        for u in range(width - 1):
+            a, b = cells[v, u], cells[v, u + 1]
+            for m in range(a + 1, b + 1) if b > a else range(a, b, -1):
+                bit = count - 1 - ((m & -m).bit_length() - 1)
+                p, q = score[bit, v, u], score[bit, v, u + 1]
+                # ds = 2 phi(p) dp.
+                dp = np.sqrt(variance[v, u : u + 2]) / (2 * norm.pdf([p, q]))
+                edges.append((u + p / (p - q), m, np.hypot(q * dp[0], p * dp[1]) / (p - q) ** 2))
+        for (x0, m0, s0), (x1, m1, s1) in itertools.pairwise(edges):
+            for u in range(int(np.ceil(x0)), int(x1) + 1):
+                w = (u - x0) / (x1 - x0)
+                position[v, u] = (1 - w) * m0 + w * m1 - 0.5
+                sigma[v, u] = np.hypot((1 - w) * s0, w * s1) / (x1 - x0)
+    return position, sigma

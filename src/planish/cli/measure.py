@@ -72,6 +72,15 @@ def _say(measurement: Measurement) -> None:
             console.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
+def _explain(measurement: Measurement, path: Path) -> None:
+    # Here, not above: what draws takes a while to be imported.
+    from planish.report.why import rejection_shares, share_text, write_why
+
+    write_why(path, measurement)
+    for name, share in rejection_shares(measurement).items():
+        typer.echo(f"  {name:<16}{share_text(share):>9}")
+
+
 def _views(text: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in text.split(","))
 
@@ -82,6 +91,7 @@ def measure(
     images: Annotated[Path | None, typer.Option(help="Folder the image names are relative to.")] = None,
     organise_on: Annotated[str, typer.Option(help="Camera whose pixel grid organises the points: A or B.")] = "A",
     texture_views: Annotated[str, typer.Option(help="Cameras whose images serve as texture.")] = "A,B",
+    why: Annotated[bool, typer.Option("--why", help="Also show why pixels have no point, in <name>_why.png.")] = False,
     threads: Annotated[int | None, typer.Option(help="Threads; the bytes do not depend on it.")] = None,
 ) -> None:
     """Turn the fringe images of each CAPTURE into a textured 3D measurement."""
@@ -98,6 +108,8 @@ def measure(
             measurement.save(out / f"{measurement.name}.h5")
             typer.echo(summary(measurement))
             _say(measurement)
+            if why:
+                _explain(measurement, out / f"{measurement.name}_why.png")
             progress.advance(task)
 
 

@@ -21,10 +21,11 @@ from planish.sensing.checks.slips import observe_consistent
 from planish.sensing.checks.swapped import check_rig
 from planish.sensing.correspond import correspond
 from planish.sensing.decode import DecodeOptions, PhaseMap
+from planish.sensing.exposures import merge_exposures, split_exposures
 from planish.sensing.images import GreyImage
 from planish.sensing.observe import Observation, with_phases
-from planish.sensing.reject import RejectOptions, reject_edges, reject_points
-from planish.sensing.sequence import Layout, read_layouts
+from planish.sensing.reject import RejectOptions, drop_points, reject_edges, reject_points
+from planish.sensing.sequence import read_layouts
 from planish.sensing.triangulate import triangulate
 
 
@@ -72,7 +73,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
     layouts = read_layouts(
         capture.manifest, str(capture.path), None if rig.projector is None else rig.projector.size_px
     )
-    seen = _observe(capture, rig, (own, other), layouts[0], options, threads)
+    seen = _observe(capture, rig, (own, other), options, threads)
     axis = layouts[0].codes[0].axis
     phase = seen[own].phases[axis]
     pairs = correspond(phase, seen[other].phases[axis], rig.cameras[own], rig.cameras[other], threads)
@@ -82,9 +83,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         found, phase, rig.cameras[own], rig.projector, capture.manifest.volume_mm, options.reject, threads
     )
     coverage = check_coverage(rejected, str(capture.path))
-    invalid = rejected != 0
-    for array in (found.points_sensor, found.sigma_mm, pairs.pixel_px):
-        array[invalid] = np.nan
+    drop_points(found, pairs, rejected, threads)
     return Measurement(
         name=capture.name,
         organised_on=own,
@@ -101,10 +100,27 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
 
 
 def _observe(
-    capture: Capture, rig: Rig, cameras: tuple[str, ...], layout: Layout, options: MeasureOptions, threads: int
+    capture: Capture, rig: Rig, cameras: tuple[str, ...], options: MeasureOptions, threads: int
 ) -> Mapping[str, Observation]:
     masks = {name: capture.read_mask(name) for name in cameras}
+    # One exposure's images at a time are in memory.
+    parts = split_exposures(capture)
+    each = [_observe_exposure(part, rig, cameras, options, threads) for _, part in parts]
+    times = [exposure for exposure, _ in parts]
+    seen = {name: merge_exposures([item[name] for item in each], times) for name in cameras}
+    for name, mask in masks.items():
+        if mask is not None:
+            _require_size(mask, f"{capture.path}: mask.{name}", name, rig.cameras[name].size_px)
+            seen[name] = with_phases(seen[name], partial(PhaseMap.without, pixels=~mask, reason="masked"))
+    cut = partial(reject_edges, options=options.reject, threads=threads)
+    return {name: with_phases(item, cut) for name, item in seen.items()}
 
+
+def _observe_exposure(
+    capture: Capture, rig: Rig, cameras: tuple[str, ...], options: MeasureOptions, threads: int
+) -> Mapping[str, Observation]:
+    projector_px = None if rig.projector is None else rig.projector.size_px
+    (layout,) = read_layouts(capture.manifest, str(capture.path), projector_px)
     with ImageReader(capture, cameras, threads) as reader:
 
         def take(name: str) -> list[GreyImage]:
@@ -113,13 +129,7 @@ def _observe(
             return images
 
         subject, again = str(capture.path), partial(capture.read_images, threads=threads)
-        seen = observe_consistent(take, again, cameras, layout, options.decode, subject, threads)
-    for name, mask in masks.items():
-        if mask is not None:
-            _require_size(mask, f"{capture.path}: mask.{name}", name, rig.cameras[name].size_px)
-            seen[name] = with_phases(seen[name], partial(PhaseMap.without, pixels=~mask, reason="masked"))
-    cut = partial(reject_edges, options=options.reject, threads=threads)
-    return {name: with_phases(item, cut) for name, item in seen.items()}
+        return observe_consistent(take, again, cameras, layout, options.decode, subject, threads)
 
 
 def _require_size(

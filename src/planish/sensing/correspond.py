@@ -48,6 +48,25 @@ def fundamental_matrix(own: Camera, other: Camera) -> Array:
     return np.linalg.inv(other.K).T @ skew(t / np.linalg.norm(t)) @ R @ np.linalg.inv(own.K)
 
 
+def _require_epipole_outside(own: Camera, other: Camera) -> None:
+    # Around an epipole the epipolar lines run in all directions, and points there have no depth.
+    width, height = other.size_px
+    u, v = np.linspace(0, width - 1, 9), np.linspace(0, height - 1, 9)
+    border = [np.column_stack(np.broadcast_arrays(*side)) for side in ((u, 0), (u, height - 1), (0, v), (width - 1, v))]
+    rays = other.rays_sensor(np.concatenate(border)) @ other.T_camera_sensor[:3, :3].T
+    x, y, z = other.T_camera_sensor[:3, :3] @ own.center_sensor + other.T_camera_sensor[:3, 3]
+    # Compared without lens distortion, which is not defined far outside the image; in front or behind is the same.
+    low, high = np.nanmin(rays[:, :2], 0) * abs(z), np.nanmax(rays[:, :2], 0) * abs(z)
+    epipole = np.array([x, y]) * np.sign(z)
+    if z != 0 and (epipole > low).all() and (epipole < high).all():
+        place = other.K @ [x / z, y / z, 1.0]
+        raise InputError(
+            "rig",
+            f"one camera stands in the other one's field of view (epipole at pixel {place[0]:.0f}, {place[1]:.0f})",
+            "cameras beside each other, the epipoles outside the images",
+        )
+
+
 def undistortion_shifts(camera: Camera, threads: int) -> Map:
     """Return each pixel's shift (H, W, 2) [px] to its place without lens distortion; size 0 without distortion."""
     if not camera.distortion.any():
@@ -71,6 +90,11 @@ def correspond(
     The search runs along the image axis that is nearer to the epipolar lines, between successive pixels whose
     positions enclose the one looked for; no phase of `own` is interpolated, and nothing is filtered.
 
+    Raises
+    ------
+    InputError
+        Where the cameras stand at the same place or the epipole lies inside the other image.
+
     Parameters
     ----------
     own, other : PhaseMap
@@ -87,17 +111,26 @@ def correspond(
     (docs/measure.md).
     """
     F = fundamental_matrix(own_camera, other_camera)
+    _require_epipole_outside(own_camera, other_camera)
     width, height = own_camera.size_px
     line = F @ [0.5 * width, 0.5 * height, 1.0]
-    steep = abs(line[0]) > abs(line[1])
+    steep = bool(abs(line[0]) > abs(line[1]))
     position, sigma = other.position_px, other.sigma_px
-    shifts = undistortion_shifts(other_camera, threads)
+    if other.local_mean_gain != 1:
+        # The other camera is read as a local mean.
+        sigma = sigma * np.float32(other.local_mean_gain)
     if steep:
         position, sigma = np.ascontiguousarray(position.T), np.ascontiguousarray(sigma.T)
-        shifts = np.ascontiguousarray(shifts.transpose(1, 0, 2)[..., ::-1])
         F = F[[1, 0, 2]]
-    own_shifts = undistortion_shifts(own_camera, threads)
     pixel, pixel_sigma = _core.correspond(
-        own.position_px, own.sigma_px, own_shifts, position, sigma, shifts, np.ascontiguousarray(F), threads
+        own.position_px,
+        own.sigma_px,
+        undistortion_shifts(own_camera, threads),
+        position,
+        sigma,
+        other_camera.kernel_parameters,
+        steep,
+        np.ascontiguousarray(F),
+        threads,
     )
     return Correspondences(np.ascontiguousarray(pixel[..., ::-1]) if steep else pixel, pixel_sigma)

@@ -8,7 +8,7 @@ from scipy.ndimage import uniform_filter
 
 from planish.errors import InputError
 from planish.geometry import Array
-from planish.measurement import REJECTIONS, Measurement, View
+from planish.measurement import Measurement, View, rejection_bit
 from planish.options import Options
 from planish.rig import Camera, Rig
 from planish.sensing.images import GreyImage
@@ -75,7 +75,7 @@ def import_measurement(
     if not valid.any():
         raise InputError("cloud", "no point is seen by the camera", "points in the sensor frame of the rig [mm]")
     view = View(image.astype(np.float32), None, None, 0, estimate_image_noise(image), full_scale([image]))
-    missing = np.uint16(1 << REJECTIONS.index("unmatched"))
+    missing = rejection_bit("unmatched")
     return Measurement(
         name=name,
         organised_on="A",

@@ -87,10 +87,27 @@ def _contrasts(layout: Layout) -> list[tuple[tuple[int, ...], Array]]:
         a, b = layout.periods[0].images, layout.periods[1].images
         weight = np.concatenate([np.full(len(a), 1 / len(a)), np.full(len(b), -1 / len(b))])
         found.append((a + b, weight / np.linalg.norm(weight)))
-    if not found:
+    if not found and layout.periods:
         n = len(layout.periods[0].images)
         found.append((layout.periods[0].images, np.full(n, n**-0.5)))
-    return found
+    return found or _contrasts_without_fringes(layout)
+
+
+def _contrasts_without_fringes(layout: Layout) -> list[tuple[tuple[int, ...], Array]]:
+    # A Gray pattern and its inverse add up to the same light, whichever bit it is.
+    pairs = [
+        pair
+        for code in layout.codes
+        if code.gray is not None
+        for pair in zip(code.gray.images, code.gray.inverse, strict=True)
+        if pair[1] >= 0
+    ]
+    if len(pairs) > 1:
+        weight = np.array([0.5, 0.5, -0.5, -0.5])
+        return [(a + b, weight) for a, b in itertools.pairwise(pairs)]
+    # One image alone bounds the noise from above: its texture cannot be told from noise.
+    shown = (*layout.white, *layout.statistical, *(code.gray.images[0] for code in layout.codes if code.gray))
+    return [((shown[0],), np.ones(1))]
 
 
 def _sample(
@@ -108,8 +125,9 @@ def _sample(
             grey = images[index][np.minimum(starts + row, height - 1)].astype(np.float32)
             contrast += np.float32(w * share / np.sqrt(6)) * grey
             np.maximum(brightest, grey, out=brightest)
-            # The grey level that the variance of the residual belongs to: each pixel by its share of it.
-            level += np.float32(share**2 / 6 / len(indices)) * grey
+            # The grey level that the variance of the residual belongs to: each grey value by its share of it. (With an
+            # odd number of steps the weights differ, and the mean of all steps is not it.)
+            level += np.float32(share**2 / 6 * w**2) * grey
     if np.all(weight > 0):
         # Such a contrast is the image itself, and its own noise must not choose its bin: the pixels beside it do.
         level = 0.5 * (np.roll(level, 1, axis=1) + np.roll(level, -1, axis=1))

@@ -13,6 +13,7 @@ from planish.sensing.checks.images import check_images
 from planish.sensing.decode import DecodeOptions, PhaseMap, decode
 from planish.sensing.decode.average import mean_image
 from planish.sensing.decode.gray import gray_offset, gray_positions
+from planish.sensing.decode.gray_edges import decode_gray_edges
 from planish.sensing.entries import Axis
 from planish.sensing.images import GreyImage
 from planish.sensing.noise import estimate_noise, full_scale
@@ -46,6 +47,7 @@ class _Stack:
     saturation: float
     noise: NoiseModel
     gray: dict[Axis, Map]
+    subject: str
     findings: tuple[Finding, ...]
 
 
@@ -88,8 +90,12 @@ def _stack(name: str, images: Sequence[GreyImage], layout: Layout, subject: str,
     saturation = full_scale(images)
     noise = estimate_noise(images, layout, saturation)
     findings = check_images(images, (layout,), noise, saturation, name, subject, threads)
-    gray = {code.axis: gray_positions(images, code, layout, threads) for code in layout.codes if code.gray is not None}
-    return _Stack(images, saturation, noise, gray, findings)
+    gray = {
+        code.axis: gray_positions(images, code, layout, threads)
+        for code in layout.codes
+        if code.gray is not None and code.periods
+    }
+    return _Stack(images, saturation, noise, gray, f"{subject}: camera {name}", findings)
 
 
 def _gray_offsets(stacks: Mapping[str, _Stack], layout: Layout, subject: str) -> dict[Axis, float]:
@@ -97,7 +103,7 @@ def _gray_offsets(stacks: Mapping[str, _Stack], layout: Layout, subject: str) ->
     return {
         code.axis: gray_offset([(stack.images, stack.gray[code.axis]) for stack in stacks.values()], code, subject)
         for code in layout.codes
-        if code.gray is not None
+        if code.gray is not None and code.periods
     }
 
 
@@ -106,6 +112,13 @@ def _observe(
 ) -> Observation:
     phases, means, modulations, counts = {}, [], [], []
     for code in layout.codes:
+        if not code.periods:
+            alone = decode_gray_edges(stack.images, code, layout, stack.noise, stack.saturation, stack.subject, threads)
+            phases[code.axis], mean, modulation, count = alone
+            means.append(mean)
+            modulations.append(modulation)
+            counts.append(count)
+            continue
         coarse = stack.gray[code.axis] - np.float32(offsets[code.axis]) if code.gray is not None else None
         found = decode(stack.images, code, stack.noise, stack.saturation, options, threads, coarse)
         phases[code.axis], mean, modulation = found

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from planish import _core
-from planish.measurement import Map, rejection_bit
+from planish.measurement import rejection_bit
 from planish.options import Options
 from planish.rig import Camera
 from planish.sensing.capture import Box
+from planish.sensing.correspond import Correspondences
 from planish.sensing.decode import PhaseMap, position_slope
 from planish.sensing.triangulate import TriangulatedPoints
 
-Mask = NDArray[np.bool_]
-
 #: The lit part of a pixel lies at most so far from its centre [px].
 RIM_PX = 0.5
+#: Every such row and column tells how steep the positions are: of ten thousands of differences the median counts.
+SLOPE_ROWS = 32
 
 
 class RejectOptions(Options):
@@ -56,9 +59,17 @@ class RejectOptions(Options):
 
 def reject_edges(phase: PhaseMap, options: RejectOptions, threads: int) -> PhaseMap:
     """Return the map without the pixels beside a jump: they mix two surfaces, and no interpolation may bridge them."""
-    jump_px = options.edge_px * position_slope(phase.position_px)
-    edge = _core.phase_edges(phase.position_px, phase.sigma_px, jump_px, options.sigmas, threads)
-    return phase.without(edge.view(np.bool_), "mixed")
+    jump_px = options.edge_px * position_slope(phase.position_px, SLOPE_ROWS)
+    position, sigma, rejected = _core.phase_edges(
+        phase.position_px,
+        phase.sigma_px,
+        phase.rejected,
+        jump_px,
+        options.sigmas,
+        int(rejection_bit("mixed")),
+        threads,
+    )
+    return replace(phase, position_px=position, sigma_px=sigma, rejected=rejected)
 
 
 def reject_points(
@@ -87,53 +98,35 @@ def reject_points(
     threads : int
         Number of threads.
     """
-    points, sigma = found.points_sensor, found.sigma_mm
-    rejected = phase.rejected.copy()
-    valid = np.isfinite(points[..., 2])
-    _mark(rejected, ~valid & (rejected == 0), "unmatched")
-    if volume is not None:
-        with np.errstate(invalid="ignore"):
-            low, high = np.array(volume.min, np.float32), np.array(volume.max, np.float32)
-            inside = ((points >= low) & (points <= high)).all(-1)
-        _mark(rejected, valid & ~inside, "masked")
-    _mark(rejected, np.abs(found.miss_px) > options.max_miss_px, "mismatch")
-    if projector is not None:
-        _mark(rejected, _contradicts_projector(found, phase, own, projector, options, threads), "mismatch")
-    depth = _distance(points, own)
-    depth[rejected != 0] = np.nan
+    box = (np.full(3, -np.inf), np.full(3, np.inf)) if volume is None else (volume.min, volume.max)
+    rejected, depth = _core.check_points(
+        found.points_sensor,
+        found.sigma_mm,
+        found.miss_px,
+        phase.position_px,
+        phase.sigma_px,
+        phase.rejected,
+        own.kernel_parameters,
+        np.empty(0) if projector is None else projector.kernel_parameters,
+        0 if phase.axis == "u" else 1,
+        [options.max_miss_px, options.projector_px, options.sigmas, *map(float, box[0]), *map(float, box[1])],
+        [int(rejection_bit(reason)) for reason in ("unmatched", "masked", "mismatch")],
+        threads,
+    )
     # A pixel is 1 / f of the distance wide; a surface tilted by t changes its distance by tan t of that.
     pixel_size = 1 / float(min(own.K[0, 0], own.K[1, 1]))
-    lit = np.isfinite(phase.position_px).view(np.uint8)
     steepest = float(np.tan(np.radians(options.max_incidence_deg)))
-    grazing = _core.grazing_points(depth, sigma, lit, pixel_size, steepest, RIM_PX, options.rim_sigmas, threads)
-    _mark(rejected, grazing.view(np.bool_), "edge")
-    depth[rejected != 0] = np.nan
+    grazing = _core.grazing_points(
+        depth, found.sigma_mm, phase.position_px, pixel_size, steepest, RIM_PX, options.rim_sigmas, threads
+    )
     per_pixel = float(np.tan(np.radians(options.max_tilt_deg)) * pixel_size)
-    small = _core.islands(depth, sigma, per_pixel, options.sigmas, options.min_island_pixels)
-    _mark(rejected, small.view(np.bool_), "isolated")
+    small = _core.islands(depth, found.sigma_mm, grazing, per_pixel, options.sigmas, options.min_island_pixels, threads)
+    for pixels, reason in ((grazing, "edge"), (small, "isolated")):
+        rejected |= pixels * rejection_bit(reason)
     return rejected
 
 
-def _contradicts_projector(
-    found: TriangulatedPoints, phase: PhaseMap, own: Camera, projector: Camera, options: RejectOptions, threads: int
-) -> Mask:
-    residual, sigma = _core.projector_residual(
-        projector.kernel_parameters,
-        0 if phase.axis == "u" else 1,
-        own.center_sensor,
-        found.points_sensor,
-        found.sigma_mm,
-        phase.position_px,
-        phase.sigma_px,
-        threads,
-    )
-    return np.asarray(np.abs(residual) > options.projector_px + options.sigmas * sigma)
-
-
-def _distance(points: Map, own: Camera) -> Map:
-    row = own.T_camera_sensor[2].astype(np.float32)
-    return np.asarray(points @ row[:3] + row[3], np.float32)
-
-
-def _mark(rejected: NDArray[np.uint16], pixels: Mask, reason: str) -> None:
-    rejected[pixels] |= rejection_bit(reason)
+def drop_points(found: TriangulatedPoints, pairs: Correspondences, rejected: NDArray[np.uint16], threads: int) -> None:
+    """Set points, standard deviations and correspondences to NaN, in place, where `rejected` (H, W) is not 0."""
+    for values in (found.points_sensor, found.sigma_mm, pairs.pixel_px):
+        _core.drop_rejected(rejected, values, threads)

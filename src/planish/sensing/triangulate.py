@@ -45,14 +45,15 @@ def triangulate(pairs: Correspondences, own: Camera, other: Camera, threads: int
     -----
     The pixel of the organising camera is exact by definition (it is where the measurement is taken), so all error lies
     in the corresponding pixel: the point stays on the own ray, x(s) = t + s q in the other camera's frame, at the s
-    that minimises |b x x(s)|, b the other ray. sigma_mm = sigma_px |q| / (motion of the image per s).
+    whose image is nearest to n, the corresponding pixel without lens distortion: s (q - n q_z) = n t_z - t along the
+    epipolar line. sigma_mm = sigma_px |q| / (motion of the image per s). Computed in single precision, whose rounding
+    is that of a pixel of 1e-4 px.
     """
     return TriangulatedPoints(
         *_core.triangulate(
             own.kernel_parameters,
             undistortion_shifts(own, threads),
             other.kernel_parameters,
-            undistortion_shifts(other, threads),
             pairs.pixel_px,
             pairs.sigma_px,
             threads,

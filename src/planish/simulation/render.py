@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,6 +15,7 @@ from planish.errors import InputError
 from planish.geometry import Array, invert, transform_points
 from planish.options import thread_count
 from planish.rig import Camera
+from planish.sensing.entries import Entry
 from planish.simulation.light import kernel_light
 from planish.simulation.scenes import Scene
 from planish.simulation.sensor import kernel_sensor, projected_patterns
@@ -30,26 +33,32 @@ _BACKGROUND_HALF = 900.0
 def render_capture(scene: Scene, index: int, threads: int | None = None) -> dict[str, Images]:
     """Return the images (N, H, W) of each camera of capture `index`, uint8 or uint16; N = length of the sequence.
 
-    The bytes depend on the scene alone, not on the number of threads.
+    Where the entries have exposure times, the sensor's exposure is that of the longest. The bytes depend on the scene
+    alone, not on the number of threads.
     """
     T = _T_object_sensor(scene, index)
     patterns = projected_patterns(scene.sequence, scene.sensor, scene.rig)
+    kernel: Callable[..., None] = _core.render_images_8 if scene.sensor.bits == 8 else _core.render_images_16
     out: dict[str, Images] = {}
     for number, (name, camera) in enumerate(scene.rig.cameras.items()):
         width, height = camera.size_px
         shape = (len(scene.sequence), height, width)
         stream = (2 * index + number) * _IMAGES_PER_STREAM
-        sensor = kernel_sensor(scene.sensor, name, camera.size_px, scene.seed, stream)
         values = _kernel_scene(scene, T, name)
-        if scene.sensor.bits == 8:
-            images = np.empty(shape, np.uint8)
-            _core.render_images_8(values, patterns, sensor, images, thread_count(threads))
-            out[name] = images
-        else:
-            deep = np.empty(shape, np.uint16)
-            _core.render_images_16(values, patterns, sensor, deep, thread_count(threads))
-            out[name] = deep
+        images: Images = np.empty(shape, np.uint8) if scene.sensor.bits == 8 else np.empty(shape, np.uint16)
+        for first, last, exposure in _runs(scene.sequence):
+            sensor = kernel_sensor(scene.sensor, name, camera.size_px, scene.seed, stream + first, exposure)
+            shown = patterns | {key: patterns[key][first:last] for key in ("profiles", "along_v")}
+            kernel(values, shown, sensor, images[first:last], thread_count(threads))
+        out[name] = images
     return out
+
+
+def _runs(sequence: Sequence[Entry]) -> list[tuple[int, int, float]]:
+    """Return (first, last + 1, share of the longest exposure) of successive entries of one exposure."""
+    times = [1.0 if entry.exposure_ms is None else entry.exposure_ms for entry in sequence]
+    starts = [k for k in range(len(times)) if k == 0 or times[k] != times[k - 1]]
+    return [(a, b, times[a] / max(times)) for a, b in itertools.pairwise([*starts, len(times)])]
 
 
 def true_points(scene: Scene, index: int, camera: str, threads: int | None = None) -> Array:

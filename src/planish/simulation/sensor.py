@@ -20,7 +20,7 @@ from planish.errors import InputError
 from planish.geometry import Array, compose, exp_so3, invert
 from planish.rig import Camera, Rig
 from planish.sensing.entries import Entry
-from planish.sensing.patterns import axis_of, projector_profile
+from planish.sensing.patterns import PROJECTOR_PX, axis_of, projector_profile
 
 _CameraRow = tuple[tuple[float, ...], tuple[float, ...], float, tuple[float, float], tuple[float, float]]
 #: position [mm], rotation [rad], principal distance [px], principal point [px] (paper); k1, k2 (ours).
@@ -29,7 +29,6 @@ PAPER_CAMERAS: dict[str, _CameraRow] = {
     "B": ((-271.3, 57.0, 832.6), (-0.077, -0.320, -0.053), 2721.0, (678.6, 503.7), (-0.117, 0.086)),
 }  # fmt: skip
 CAMERA_PX = (1388, 1038)
-PROJECTOR_PX = (1280, 800)
 PROJECTOR_POSITION_MM = (-2.0, 62.0, 838.0)
 #: It looks below the origin, at the middle of what both cameras see, and covers that for -60 <= z <= 40 mm.
 PROJECTOR_TARGET_MM = (0.0, -17.0, 0.0)
@@ -65,7 +64,9 @@ class Sensor:
     black_level : float
         Share of full scale added to every pixel.
     gamma : float
-        Grey level = 255 (signal / 255)^(1 / gamma) + black level.
+        Of the cameras: grey level = 255 (signal / 255)^(1 / gamma) + black level.
+    projector_gamma : float
+        Of the projector: brightness = pattern^projector_gamma.
     bits : int
         8 or 16.
     saturation : float
@@ -90,6 +91,7 @@ class Sensor:
     psf_px: float = 0.6
     black_level: float = 0.02
     gamma: float = 1.0
+    projector_gamma: float = 1.0
     bits: int = 8
     saturation: float = 255.0
     vignetting: float = 0.1
@@ -100,7 +102,9 @@ class Sensor:
 
     def __post_init__(self) -> None:
         """Refuse values without a meaning."""
-        positive = ("white_level", "white_albedo", "exposure", "electrons_per_level", "gamma", "saturation")
+        positive = (
+            "white_level", "white_albedo", "exposure", "electrons_per_level", "gamma", "projector_gamma", "saturation"
+        )  # fmt: skip
         for name in positive:
             if not 0 < getattr(self, name) < np.inf:
                 raise InputError(name.replace("_", " "), f"found {getattr(self, name)}", "a number above 0")
@@ -173,7 +177,7 @@ def projected_patterns(sequence: Sequence[Entry], sensor: Sensor, rig: Rig) -> d
     coordinates = first + np.arange(count) / PROFILE_SAMPLES
     profiles = np.empty((len(sequence), count), np.float32)
     for k, entry in enumerate(sequence):
-        pixels = projector_profile(entry, size)
+        pixels = projector_profile(entry, size) ** sensor.projector_gamma
         # A projector pixel is a square of even brightness; its lens blurs the staircase.
         stairs = pixels[np.clip(np.floor(coordinates + 0.5).astype(int), 0, len(pixels) - 1)]
         edge = np.isclose((coordinates + 0.5) % 1.0, 0.0)
@@ -190,13 +194,18 @@ def projected_patterns(sequence: Sequence[Entry], sensor: Sensor, rig: Rig) -> d
     }
 
 
-def kernel_sensor(sensor: Sensor, camera: str, size_px: tuple[int, int], seed: int, stream: int) -> dict[str, Any]:
-    """Return the response of one camera for the core; `stream` names the capture and camera of the noise."""
+def kernel_sensor(
+    sensor: Sensor, camera: str, size_px: tuple[int, int], seed: int, stream: int, exposure: float = 1.0
+) -> dict[str, Any]:
+    """Return the response of one camera for the core, with the sensor's exposure times `exposure`.
+
+    `stream` names the capture, the camera and the first image of the noise.
+    """
     black = sensor.black_level * 255
     return {
         "psf_px": float(sensor.psf_px),
         "supersampling": sensor.samples_per_px,
-        "levels_per_radiance": float((sensor.white_level - black) / sensor.white_albedo * sensor.exposure),
+        "levels_per_radiance": float((sensor.white_level - black) / sensor.white_albedo * sensor.exposure * exposure),
         "electrons_per_level": float(sensor.electrons_per_level),
         "read_noise": float(sensor.read_noise),
         "noise_factor": float(sensor.noise_factor),

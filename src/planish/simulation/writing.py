@@ -13,7 +13,8 @@ from planish import storage
 from planish.errors import InputError
 from planish.options import thread_count
 from planish.sensing.capture import SCHEMA as CAPTURE_SCHEMA
-from planish.sensing.entries import Entry, Gray, Phase
+from planish.sensing.entries import Entry
+from planish.sensing.patterns import entry_label
 from planish.simulation.render import Images, render_capture, trace_capture
 from planish.simulation.scenes import Scene
 
@@ -74,22 +75,14 @@ def _write_images(folder: Path, scene: Scene, images: dict[str, Images], threads
         "name": folder.name,
         "rig": "rig.json",
         "images": names,
-        "sequence": [entry.model_dump() for entry in scene.sequence],
+        "sequence": [entry.model_dump(exclude_none=True) for entry in scene.sequence],
         "projector_px": list(scene.rig.projector.size_px),
     }
     storage.write_json(folder / "capture.json", manifest)
 
 
 def _image_names(camera: str, sequence: Sequence[Entry]) -> list[str]:
-    return [f"{camera}_{k:02d}_{_label(entry)}.png" for k, entry in enumerate(sequence)]
-
-
-def _label(entry: Entry) -> str:
-    if isinstance(entry, Phase):
-        return f"phase_{entry.axis}_{entry.period_px:g}_{entry.step}"
-    if isinstance(entry, Gray):
-        return f"gray_{entry.axis}_{entry.bit}{'_inverse' if entry.inverse else ''}"
-    return entry.role
+    return [f"{camera}_{k:02d}_{entry_label(entry)}.png" for k, entry in enumerate(sequence)]
 
 
 def _write_png(path: Path, image: Images) -> None:

@@ -22,6 +22,9 @@ MAX_MOVEMENT_PX = 0.2
 MAX_SIGMA_PX = 0.1
 #: ... where it exceeds that by so many standard deviations.
 REFUSE_SIGMAS = 3.0
+#: Highlights and a response that is not linear let texture look shifted where the light differs, by so much per
+#: logarithm of its ratio (two cameras on blank steel, fringes against white: 0.14 and 0.03 px).
+LIGHT_SIGMA_PX = 0.08
 #: A part of the image moves where its shift differs from nothing by so many standard deviations.
 LOCAL_SIGMAS = 5.0
 #: Side of the windows [blocks] that are looked at one by one, and of the tiles in them that have to agree.
@@ -97,11 +100,18 @@ def compare(
         usable = comparable(images, first, last, means, rows, limit, saturation)
         sums.append(block_sums(*means, usable, noise, shares, threads))
         tops.append(rows.start)
-    fine = locate(sums, tops)
+    fine = _under_other_light(locate(sums, tops), first, last)
     if first.lit_only or last.lit_only:
         return fine
     coarse = _compare_coarse(images, first, last, noise, saturation, threads)
     return coarse if coarse.worst.length_px > COARSE_FROM_PX else fine
+
+
+def _under_other_light(found: Movement, first: Still, last: Still) -> Movement:
+    more = (LIGHT_SIGMA_PX * float(np.log(last.light / first.light))) ** 2 * np.eye(2)
+    everywhere = replace(found.everywhere, covariance=found.everywhere.covariance + more)
+    local = None if found.local is None else replace(found.local, covariance=found.local.covariance + more)
+    return replace(found, everywhere=everywhere, local=local)
 
 
 def drift(

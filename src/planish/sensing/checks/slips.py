@@ -15,6 +15,8 @@ from planish.sensing.sequence import AxisCode, Layout, PeriodSteps
 
 #: Among the pixels that show fringes, slips are rare (beside edges, in noise): a larger share is no accident.
 MAX_SLIP_SHARE = 0.3
+#: Fewer lit pixels than this share of the image say nothing.
+MIN_LIT_SHARE = 0.01
 #: A change of the sequence explains the slips where it leaves less than this share of them.
 EXPLAINED = 0.3
 #: Shorter periods no projector shows.
@@ -24,10 +26,10 @@ SAMPLE_STRIDE = 3
 
 
 def slip_share(phase: PhaseMap) -> float:
-    """Return the share of slips among the pixels that show fringes; 0 where there are none."""
+    """Return the share of slips among the pixels that show fringes; 0 where next to none do."""
     shown = (phase.rejected & (rejection_bit("dark") | rejection_bit("saturated") | rejection_bit("masked"))) == 0
     slipped = (phase.rejected & rejection_bit("slip")) != 0
-    return float(slipped[shown].mean()) if shown.any() else 0.0
+    return float(slipped[shown].mean()) if shown.mean() > MIN_LIT_SHARE else 0.0
 
 
 def worst_share(seen: Mapping[str, Observation]) -> float:

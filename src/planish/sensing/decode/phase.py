@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,12 +48,15 @@ class PhaseMap:
         Its standard deviation [projector px].
     rejected : ndarray (H, W) uint16
         Bit mask of measurement.REJECTIONS.
+    local_mean_gain : float
+        Standard deviation of a local mean of positions over what independent errors would give: 1 for phases.
     """
 
     axis: Axis
     position_px: Map = field(metadata={"unit": "projector px"})
     sigma_px: Map = field(metadata={"unit": "projector px"})
     rejected: NDArray[np.uint16] = field(metadata={"unit": "bit mask of REJECTIONS"})
+    local_mean_gain: float = 1.0
 
     def without(self, pixels: NDArray[np.bool_], reason: str) -> PhaseMap:
         """Return the map with `pixels` (H, W) rejected for a reason of measurement.REJECTIONS."""
@@ -61,7 +64,7 @@ class PhaseMap:
         position = np.where(pixels, np.float32(np.nan), self.position_px)
         sigma = np.where(pixels, np.float32(np.nan), self.sigma_px)
         rejected = self.rejected | np.where(pixels, bit, np.uint16(0))
-        return PhaseMap(self.axis, position, sigma, rejected)
+        return replace(self, position_px=position, sigma_px=sigma, rejected=rejected)
 
 
 def decode(
