@@ -68,7 +68,7 @@ def test_rows_that_are_off_are_measured_and_warned_of(folder, by_px):
 def test_a_rolled_camera_shows_as_variation_over_the_image(folder):
     def roll(camera):
         T = camera.T_camera_sensor.copy()
-        T[:3, :3] = exp_so3([0, 0, 0.006]) @ T[:3, :3]
+        T[:3, :3] = exp_so3([0, 0, 0.012]) @ T[:3, :3]
         return replace(camera, T_camera_sensor=T)
 
     assert "varying by" in finding(measure(with_rig(folder, roll), None, 2), "row error").warning
@@ -98,7 +98,7 @@ def rejected(**shares):
 def test_coverage_counts_the_lit_pixels():
     found = check_coverage(rejected(dark=50, unmatched=10), "capture.json")
     assert (found.value, found.warning) == (pytest.approx(80.0), "")
-    assert found.source == "dark 5000, unmatched 1000"
+    assert found.source == "dark 50.0 %, unmatched 10.0 %"
 
 
 def test_few_points_are_warned_of_with_the_likely_cause():
@@ -108,5 +108,5 @@ def test_few_points_are_warned_of_with_the_likely_cause():
 
 
 def test_no_point_at_all_is_refused_with_counts():
-    with pytest.raises(InputError, match=r"no point could be measured .*dark 10000.*too little light"):
+    with pytest.raises(InputError, match=r"no point could be measured .*dark 100.0 %.*too little light"):
         check_coverage(rejected(dark=100), "capture.json")

@@ -192,17 +192,19 @@ class Strip {
 
     void filter(int k) {
         float* __restrict s = row(smooth_, k), * __restrict d = row(slope_, k), * __restrict e = row(difference_, k);
-        std::fill_n(s, width_, 0.0F);
-        std::fill_n(d, width_, 0.0F);
-        std::fill_n(e, width_, 0.0F);
-        for (int i = 0; i < kTaps; ++i) {
-            const float* __restrict t = line_t_.data() + i, * __restrict difference = line_e_.data() + i;
-            const float a = taps_.smooth[i], b = taps_.slope[i];
-            for (int u = 0; u < width_; ++u) {
-                s[u] += a * t[u];
-                d[u] += b * t[u];
-                e[u] += a * difference[u];
+        const float* __restrict t = line_t_.data(), * __restrict difference = line_e_.data();
+        const int width = width_;
+        const std::array<float, kTaps> a = taps_.smooth, b = taps_.slope;
+        for (int u = 0; u < width; ++u) {
+            float smooth = 0, slope = 0, other = 0;
+            for (int i = 0; i < kTaps; ++i) {
+                smooth += a[i] * t[u + i];
+                slope += b[i] * t[u + i];
+                other += a[i] * difference[u + i];
             }
+            s[u] = smooth;
+            d[u] = slope;
+            e[u] = other;
         }
     }
 
@@ -212,11 +214,29 @@ class Strip {
     std::vector<float> line_t_, line_e_, mean_first_, mean_last_;
 };
 
+/// Writes 1 where pixels of row v, and all within reach of the filters, are usable.
+void surrounded(Image<const std::uint8_t> usable, int v, std::vector<std::uint8_t>& column, std::uint8_t* out) {
+    const int width = usable.width;
+    std::uint8_t* __restrict line = out;
+    std::uint8_t* __restrict all = column.data();
+    std::fill_n(line, width, std::uint8_t{0});
+    if (v < kReach || v + kReach >= usable.height || width <= 2 * kReach) return;
+    std::copy_n(usable.row(v - kReach), width, all);
+    for (int i = 1 - kReach; i <= kReach; ++i) {
+        const std::uint8_t* __restrict row = usable.row(v + i);
+        for (int u = 0; u < width; ++u) all[u] = static_cast<std::uint8_t>(all[u] & row[u]);
+    }
+    static_assert(kReach == 3);
+    for (int u = kReach; u < width - kReach; ++u)
+        line[u] = static_cast<std::uint8_t>(all[u - 3] & all[u - 2] & all[u - 1] & all[u] & all[u + 1] & all[u + 2] &
+                                            all[u + 3]);
+}
+
 }  // namespace
 
 void shift_sums(Image<const float> first, Image<const float> last, Image<const std::uint8_t> usable,
                 const PairNoise& noise, int threads, Image<double> sums) {
-    const int width = first.width, height = first.height;
+    const int width = first.width;
     const LocalMeans means(first, last, usable, kShiftBlock);
     parallel_for(static_cast<std::size_t>(sums.height), threads, [&](std::size_t begin, std::size_t end) {
         Strip strip(width);
@@ -225,23 +245,8 @@ void shift_sums(Image<const float> first, Image<const float> last, Image<const s
         for (std::size_t r = begin; r < end; ++r) {
             const int top = static_cast<int>(r) * kShiftBlock;
             strip.fill(first, last, usable, means, noise, top);
-            for (int k = 0; k < kShiftBlock; ++k) {
-                // Pixels whose whole surroundings count.
-                const int v = top + k;
-                std::uint8_t* __restrict line = inner.data() + wide * static_cast<std::size_t>(k);
-                std::fill_n(line, width, std::uint8_t{0});
-                if (v < kReach || v + kReach >= height) continue;
-                std::fill(column.begin(), column.end(), std::uint8_t{1});
-                for (int i = -kReach; i <= kReach; ++i) {
-                    const std::uint8_t* __restrict row = usable.row(v + i);
-                    for (int u = 0; u < width; ++u) column[static_cast<std::size_t>(u)] &= row[u];
-                }
-                for (int u = kReach; u + kReach < width; ++u) {
-                    std::uint8_t all = 1;
-                    for (int i = -kReach; i <= kReach; ++i) all &= column[static_cast<std::size_t>(u + i)];
-                    line[u] = all;
-                }
-            }
+            for (int k = 0; k < kShiftBlock; ++k)
+                surrounded(usable, top + k, column, inner.data() + wide * static_cast<std::size_t>(k));
             const Image<const std::uint8_t> counts{inner.data(), kShiftBlock, width};
             for (int c = 0; c < sums.width; ++c) strip.sum(c * kShiftBlock, counts, sums.at(static_cast<int>(r), c));
         }

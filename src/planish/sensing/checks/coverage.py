@@ -6,10 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.errors import InputError
-from planish.measurement import REJECTIONS, Finding, rejection_bit
+from planish.measurement import REJECTIONS, Finding
 
 #: A capture with fewer points than this share of the pixels that show patterns is worth a warning.
 FEW_SHARE = 0.2
+#: Every so many rows of large images are counted; all of them where something is wrong.
+SAMPLED_ROWS, SAMPLED_FROM_PX = 4, 500_000
 #: So many reasons are named, the most frequent first.
 NAMED_REASONS = 3
 #: What most likely lies behind a reason that outweighs the others.
@@ -35,25 +37,33 @@ def check_coverage(rejected: NDArray[np.uint16], subject: str) -> Finding:
     InputError
         Where there is no point at all.
     """
-    unlit = (rejected & (rejection_bit("dark") | rejection_bit("masked"))) != 0
-    lit = int((~unlit).sum())
-    valid = int((rejected == 0).sum())
-    reasons = _counts(rejected)
+    rows = SAMPLED_ROWS if rejected.size > SAMPLED_FROM_PX else 1
+    reasons, share, pixels = _shares(rejected[::rows])
+    if share < FEW_SHARE:
+        reasons, share, pixels = _shares(rejected)
     first = max(reasons, key=lambda name: reasons[name], default="")
-    if valid == 0:
+    if sum(reasons.values()) == rejected.size:
         raise InputError(
-            subject, f"no point could be measured ({_text(reasons)})", f"points; most likely: {LIKELY.get(first, '')}"
+            subject, f"no point could be measured ({_text(reasons, pixels)})", f"points; most likely: {LIKELY[first]}"
         )
-    share = valid / max(lit, 1)
     warning = ""
     if share < FEW_SHARE:
         among_lit = {name: count for name, count in reasons.items() if name not in ("dark", "masked")}
         first = max(among_lit, key=lambda name: among_lit[name], default=first)
         warning = (
-            f"only {100 * share:.1f} % of the lit pixels became points ({_text(reasons)}); most likely: "
-            f"{LIKELY.get(first, '')}"
+            f"only {100 * share:.1f} % of the lit pixels became points ({_text(reasons, pixels)}); most likely: "
+            f"{LIKELY[first]}"
         )
-    return Finding("coverage", 100 * share, None, "% of the lit pixels", _text(reasons) or "none rejected", warning)
+    return Finding(
+        "coverage", 100 * share, None, "% of the lit pixels", _text(reasons, pixels) or "none rejected", warning
+    )
+
+
+def _shares(rejected: NDArray[np.uint16]) -> tuple[dict[str, int], float, int]:
+    """Return the counts per reason, the share of the lit pixels that are valid, and the number of all pixels."""
+    reasons, pixels = _counts(rejected), rejected.size
+    lit = pixels - reasons.get("dark", 0) - reasons.get("masked", 0)
+    return reasons, (pixels - sum(reasons.values())) / max(lit, 1), pixels
 
 
 def _counts(rejected: NDArray[np.uint16]) -> dict[str, int]:
@@ -67,6 +77,6 @@ def _counts(rejected: NDArray[np.uint16]) -> dict[str, int]:
     return found
 
 
-def _text(reasons: dict[str, int]) -> str:
+def _text(reasons: dict[str, int], pixels: int) -> str:
     named = sorted(reasons.items(), key=lambda item: -item[1])[:NAMED_REASONS]
-    return ", ".join(f"{name} {count}" for name, count in named)
+    return ", ".join(f"{name} {100 * count / pixels:.1f} %" for name, count in named)

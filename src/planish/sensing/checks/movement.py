@@ -32,7 +32,7 @@ WINDOW_BLOCKS, TILE_BLOCKS = 8, 4
 #: Image pixels that are looked at, in bands of whole windows: enough for 0.02 px on grain of 0.5 % contrast.
 SAMPLED_PX = 300_000
 #: The fit residual is a second witness only.
-DRIFT_PX = 150_000
+DRIFT_PX = 90_000
 #: Contrast of the patterns, in standard deviations of a grey value, that shows that a pixel is lit.
 LIT_SIGMAS = 6.0
 #: Periods beyond this share of the projector are long: a window sees a part of one.
@@ -94,7 +94,7 @@ def compare(
     """Return the movement of the last group of images against the first."""
     shares = 1 / len(first.images), 1 / len(last.images)
     sums, tops = [], []
-    for rows in bands(images[0].shape, SAMPLED_PX):
+    for rows in bands(images[0].shape, SAMPLED_PX, WINDOW_BLOCKS):
         means = mean_of(images, first.images, rows), mean_of(images, last.images, rows)
         limit = _contrast_limit(means[0], noise)
         usable = comparable(images, first, last, means, rows, limit, saturation)
@@ -130,7 +130,7 @@ def drift(
     share = float(weights @ weights) / 2
     sums, tops = [], []
     group = Still(steps.images, "")
-    for rows in bands(images[0].shape, DRIFT_PX):
+    for rows in bands(images[0].shape, DRIFT_PX, TILE_BLOCKS):
         mean = mean_of(images, steps.images, rows)
         ramp, shown = np.zeros_like(mean), np.zeros_like(mean)
         for index, weight, when in zip(steps.images, weights, time, strict=True):
@@ -158,9 +158,9 @@ def drift_weights(steps: PeriodSteps) -> tuple[Array, Array]:
     return np.asarray(left / (left @ time)), time
 
 
-def bands(shape: tuple[int, ...], pixels: int) -> list[slice]:
-    """Return bands of rows, whole windows high and evenly spread, that together hold about so many pixels."""
-    side = min(WINDOW_BLOCKS * BLOCK_PX, shape[0])
+def bands(shape: tuple[int, ...], pixels: int, blocks: int) -> list[slice]:
+    """Return bands of rows, so many blocks high and evenly spread, that together hold about so many pixels."""
+    side = min(blocks * BLOCK_PX, shape[0])
     count = max(1, min(shape[0] // side, round(pixels / (side * shape[1]))))
     starts = np.linspace(0, shape[0] - side, count + 2)[1:-1] if count < shape[0] // side else np.arange(count) * side
     return [slice(int(start), int(start) + side) for start in starts]
@@ -186,7 +186,7 @@ def locate(sums: Sequence[BlockSums], tops: Sequence[int], pixel: int = 1) -> Mo
         for window, row, column in _windows(band):
             shift = _scaled(solve_shift(window, pixel == 1), pixel)
             beyond = shift.sigmas_beyond(MAX_MOVEMENT_PX)
-            if beyond > surest and shift.sigmas_beyond(0.0) > LOCAL_SIGMAS and _agree(window, shift, pixel):
+            if beyond > surest and _apart(shift, everywhere) and _agree(window, shift, pixel):
                 surest = beyond
                 centre = BLOCK_PX * WINDOW_BLOCKS // 2
                 best, place = shift, (pixel * (column * BLOCK_PX + centre), top + pixel * (row * BLOCK_PX + centre))
@@ -212,6 +212,13 @@ def _may_move(window: BlockSums) -> bool:
         return False
     variance = (window.variance * weight).sum() / weight.sum() / BLOCK_PX**2
     return bool(right @ np.linalg.solve(total, right) > LOCAL_SIGMAS * variance)
+
+
+def _apart(shift: Shift, everywhere: Shift) -> bool:
+    """Return whether a window moves, and otherwise than the whole."""
+    rest = Shift(shift.pixels - everywhere.pixels, shift.covariance + everywhere.covariance)
+    moves = shift.sigmas_beyond(0.0) > LOCAL_SIGMAS
+    return moves and (not everywhere.seen or rest.sigmas_beyond(0.0) > LOCAL_SIGMAS)
 
 
 def _agree(window: BlockSums, shift: Shift, pixel: int) -> bool:

@@ -12,6 +12,8 @@ from planish.sensing.checks.tiles import TILE_PX, RowError, Tiles
 
 #: Row errors are searched so far at once, and so far where nothing is found there [px].
 NEAR_PX, FAR_PX = 2, 8
+#: ... in fewer than this share of the tiles [1].
+MOST_TILES = 0.75
 #: Correlation of two tiles beyond what unrelated textures have, in standard deviations.
 RELATED_SIGMAS = 5.0
 #: Tiles whose row error is known less well do not count [px].
@@ -37,18 +39,20 @@ def row_error_of_textures(tiles: Tiles, own: View, other: View) -> RowError:
         return none
     a = _flat(tiles.own(image_own))
     shifts = np.arange(-NEAR_PX, NEAR_PX + 1)
-    best, inside = _peaks(_scores(a, tiles, image_other, shifts))
-    if inside.mean() < 0.5:
+    scores = _scores(a, tiles, image_other, shifts)
+    best, inside = _peaks(scores)
+    if inside.mean() < MOST_TILES:
         shifts = np.arange(-FAR_PX, FAR_PX + 1)
-        best, inside = _peaks(_scores(a, tiles, image_other, shifts))
+        scores = _scores(a, tiles, image_other, shifts)
+        best, inside = _peaks(scores)
     if not inside.any():
         return none
     near = Tiles(tiles.corner_px[inside], tiles.pixel_px[inside], tiles.across[inside])
-    start = shifts[best[inside]].astype(float)
-    # Twice: the second parabola begins beside the top, where it is exact.
-    for _ in range(2):
-        step, sigma = _top(a[inside], near, image_other, start)
-        start = start + np.clip(np.nan_to_num(step), -1, 1)
+    before, at, after = (scores[best[inside] + k, np.flatnonzero(inside)] for k in (-1, 0, 1))
+    start = shifts[best[inside]] + 0.5 * (after - before) / np.maximum(2 * at - after - before, 1e-6)
+    # Again from there: beside its top the parabola is exact.
+    step, sigma = _top(a[inside], near, image_other, start)
+    start = start + np.nan_to_num(step)
     use = np.isfinite(step) & (np.abs(step) < 1) & (sigma < MAX_TILE_SIGMA_PX)
     return RowError(start[use], sigma[use], len(inside)).smooth(near.corner_px[use])
 

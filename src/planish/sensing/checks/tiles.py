@@ -19,7 +19,7 @@ WARN_PX = 0.5
 #: ... where it exceeds this many standard deviations.
 WARN_SIGMAS = 5.0
 #: Side of a tile [px] and number of tiles across and down the image.
-TILE_PX, TILES = 32, (8, 6)
+TILE_PX, TILES = 32, (7, 5)
 #: A tile counts where this share of it has correspondences.
 TILE_SHARE = 0.95
 #: Fewer tiles say nothing.
