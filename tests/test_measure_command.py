@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from command_line import planish
 from planish.cli import main
 from planish.measurement import Measurement
 from sequences import gray_entries, manifest, phase_entries, plane_points, render, small_rig
