@@ -68,7 +68,7 @@ def _gray_stills(code: AxisCode) -> list[Still]:
     found = []
     for bit, index, inverse in zip(bits, code.gray.images, code.gray.inverse, strict=True):
         if inverse >= 0:
-            found.append(Still((index, inverse), f"Gray bit {bit} of axis {code.axis} and its inverse"))
+            found.append(Still((index, inverse), f"Gray bit {bit} of {code.axis}"))
         else:
             found.append(Still((index,), f"the lit cells of Gray bit {bit}", True, 1.0))
     return found
@@ -106,7 +106,7 @@ def _joined(groups: Sequence[Still], direction: int) -> Still:
         parts = (joined, group)[::direction]
         images = parts[0].images + parts[1].images
         light = sum(part.light * len(part.images) for part in parts) / len(images)
-        joined = Still(images, " and ".join(part.name for part in parts), light=light)
+        joined = Still(images, _span(parts[0].name, parts[1].name), light=light)
     return joined
 
 
@@ -136,3 +136,7 @@ def comparable(
             size = 2 * BORDER_PX + 1
             counts = counts & cv2.erode(lit, np.ones((size, size), np.uint8))
     return np.asarray(counts, np.uint8)
+
+
+def _span(first: str, last: str) -> str:
+    return f"{first.split(' to ')[0]} to {last.split(' to ')[-1]}"
