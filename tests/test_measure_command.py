@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from command_line import planish
 from planish.cli import main
 from planish.measurement import Measurement
 from sequences import gray_entries, manifest, phase_entries, plane_points, render, small_rig
@@ -173,3 +174,21 @@ def test_two_captures_of_one_name_are_refused(capture, tmp_path, monkeypatch, ca
 
 def test_a_path_that_does_not_exist_is_refused(tmp_path, monkeypatch, capsys):
     assert "no such file" in refused(monkeypatch, capsys, "measure", tmp_path / "no", "--out", tmp_path / "out")
+
+
+def test_findings_are_printed_and_a_wrong_rig_is_warned_of_on_stderr(tmp_path):
+    assert planish("simulate", "plate", "--out", tmp_path / "captures", "--seed", 4, "--captures", 1,
+                   "--width-scale", 0.5, "--no-true-points").code == 0  # fmt: skip
+    right = planish("measure", tmp_path / "captures", "--out", tmp_path / "out")
+    assert "row error of the rig in camera B: " in right.out
+    assert "warning" not in right.err
+    rig = tmp_path / "captures" / "m1" / "rig.json"
+    content = json.loads(rig.read_text())
+    content["cameras"]["B"]["K"][1][2] += 2.0
+    rig.write_text(json.dumps(content))
+    wrong = planish("measure", tmp_path / "captures", "--out", tmp_path / "out")
+    assert wrong.code == 0
+    assert "warning: m1: the rig does not fit the images: in camera B points lie -" in wrong.err
+    # Within 0.05 px, as in test_rig_checks.
+    (finding,) = [f for f in Measurement.load(tmp_path / "out" / "m1.h5").findings if f.quantity.startswith("row")]
+    assert finding.value == pytest.approx(-2.0, abs=0.05)

@@ -24,6 +24,7 @@ NB_MODULE(PLANISH_MODULE, m) {
     m.def("cpu_count", [] { return static_cast<int>(std::thread::hardware_concurrency()); });
     bind_decoding(m);
     bind_sensing(m);
+    bind_checks(m);
     bind_registration(m);
     bind_evaluation(m);
     bind_simulation(m);

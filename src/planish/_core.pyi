@@ -265,3 +265,13 @@ def grazing_points(
 def islands(
     depth: F32, sigma: F32, excluded: U8, depth_per_pixel: float, sigmas: float, min_pixels: int, threads: int
 ) -> U8: ...
+def shift_sums(
+    first: F32,
+    last: F32,
+    usable: U8,
+    noise_offset: float,
+    noise_slope: float,
+    share_first: float,
+    share_last: float,
+    threads: int,
+) -> F64: ...

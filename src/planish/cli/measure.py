@@ -62,6 +62,16 @@ def summary(measurement: Measurement) -> str:
     )
 
 
+def _say(measurement: Measurement) -> None:
+    """Print what the capture says about itself: findings as results, what the user should know as warnings."""
+    for finding in measurement.findings:
+        typer.echo(f"  {finding}")
+        if finding.warning:
+            console.print("warning:", style="bold yellow", end=" ")
+            text = f"{measurement.name}: {finding.warning}"
+            console.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
 def _explain(measurement: Measurement, path: Path) -> None:
     # Here, not above: what draws takes a while to be imported.
     from planish.report.why import rejection_shares, share_text, write_why
@@ -100,6 +110,7 @@ def measure(
             measurement = measure_capture(capture, options, count)
             measurement.save(out / f"{measurement.name}.h5")
             typer.echo(summary(measurement))
+            _say(measurement)
             if why:
                 _explain(measurement, out / f"{measurement.name}_why.png")
             progress.advance(task)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Literal
@@ -17,6 +18,9 @@ from planish.measurement import Measurement
 from planish.options import Options, thread_count
 from planish.rig import Rig
 from planish.sensing.capture import Box, Capture, ImageReader
+from planish.sensing.checks.coverage import check_coverage
+from planish.sensing.checks.slips import observe_consistent
+from planish.sensing.checks.swapped import check_rig
 from planish.sensing.correlate import CorrelateOptions
 from planish.sensing.decode import DecodeOptions
 from planish.sensing.exposures import merge_exposures, split_exposures
@@ -30,7 +34,7 @@ from planish.sensing.locate import (
     locate_by_correlation,
     locate_by_projector,
 )
-from planish.sensing.observe import Observation, observe, with_phases
+from planish.sensing.observe import Observation, with_phases
 from planish.sensing.reject import RejectOptions, drop_points, reject_edges, reject_points
 from planish.sensing.sequence import Layout, read_layouts
 from planish.sensing.straighten import straighten
@@ -98,6 +102,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         options.reject,
         threads,
     )
+    coverage = check_coverage(rejected, str(capture.path))
     drop_points(located.points, located.correspondence_px, rejected, threads)
     return Measurement(
         name=capture.name,
@@ -110,7 +115,11 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         views={name: seen[name].view for name in sorted(seen)},
         texture_views=views,
         resampled=False,
-        findings=(*(finding for name in sorted(seen) for finding in seen[name].findings), *located.findings),
+        findings=(
+            *(finding for name in sorted(seen) for finding in seen[name].findings),
+            *located.findings,
+            coverage,
+        ),
     )
 
 
@@ -130,15 +139,19 @@ def _locate(
     threads: int,
 ) -> Located:
     if layout.statistical:
-        return locate_by_correlation(seen, rig, options.organise_on, volume, options.correlate, subject, threads)
+        located = locate_by_correlation(seen, rig, options.organise_on, volume, options.correlate, subject, threads)
+        return replace(located, findings=check_rig(seen, located, rig, options.organise_on, subject, threads))
     own, camera, projector = options.organise_on, rig.cameras[options.organise_on], rig.projector
     phases = {name: item.phases for name, item in seen.items()}
     if len(seen) == 1:
         assert projector is not None
         return locate_by_projector(phases[own], camera, projector, options.reject, subject, threads)
     located = locate_between_cameras(phases, rig, own, subject, threads)
+    fit = check_rig(seen, located, rig, own, subject, threads)
     if projector is None or options.geometry == "stereo":
-        return located
+        return replace(located, findings=fit)
+    # What the projector's ray has to say, its filling in says better.
+    located = replace(located, findings=fit[:1])
     period = min((period.period_px for period in layout.periods), default=None)
     return fill_by_projector(located, phases[own], camera, projector, period, options.reject, subject, threads)
 
@@ -181,7 +194,8 @@ def _observe_exposure(
             _require_size(images[0], capture.image_path(name, 0), name, rig.cameras[name].size_px)
             return images
 
-        return observe(take, cameras, layout, options.decode, str(capture.path), threads)
+        subject, again = str(capture.path), partial(capture.read_images, threads=threads)
+        return observe_consistent(take, again, cameras, layout, options.decode, subject, threads)
 
 
 def _require_size(

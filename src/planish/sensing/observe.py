@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.measurement import Finding, Map, NoiseModel, View
+from planish.sensing.checks.images import check_images
 from planish.sensing.correlate import temporal_view
 from planish.sensing.decode import DecodeOptions, PhaseMap, decode
 from planish.sensing.decode.average import mean_image
@@ -56,13 +57,14 @@ class Observation:
 
 @dataclass(frozen=True)
 class _Stack:
-    """The images of one camera, their noise, and the positions by Gray code per axis."""
+    """The images of one camera, their noise, the positions by Gray code per axis, and what the images say."""
 
     images: Sequence[GreyImage]
     saturation: float
     noise: NoiseModel
     gray: dict[Axis, Map]
     subject: str
+    findings: tuple[Finding, ...]
 
 
 def observe(
@@ -93,26 +95,23 @@ def observe(
     workers = min(threads, len(cameras))
     own = max(1, threads // workers)
     with ThreadPoolExecutor(workers) as pool:
-        stacks = dict(
-            zip(
-                cameras,
-                pool.map(lambda name: _stack(take(name), layout, f"{subject}: camera {name}", own), cameras),
-                strict=True,
-            )
-        )
+        read = pool.map(lambda name: _stack(name, take(name), layout, subject, own), cameras)
+        stacks = dict(zip(cameras, read, strict=True))
         offsets = _gray_offsets(stacks, layout, subject)
         found = pool.map(lambda name: _observe(name, stacks[name], layout, offsets, options, own), cameras)
         return dict(zip(cameras, found, strict=True))
 
 
-def _stack(images: Sequence[GreyImage], layout: Layout, subject: str, threads: int) -> _Stack:
+def _stack(name: str, images: Sequence[GreyImage], layout: Layout, subject: str, threads: int) -> _Stack:
     saturation = full_scale(images, layout)
+    noise = estimate_noise(images, layout, saturation)
+    findings = check_images(images, (layout,), noise, saturation, name, subject, threads)
     gray = {
         code.axis: gray_positions(images, code, layout, threads)
         for code in layout.codes
         if code.gray is not None and code.periods
     }
-    return _Stack(images, saturation, estimate_noise(images, layout, saturation), gray, subject)
+    return _Stack(images, saturation, noise, gray, f"{subject}: camera {name}", findings)
 
 
 def _gray_offsets(stacks: Mapping[str, _Stack], layout: Layout, subject: str) -> dict[Axis, float]:
@@ -153,13 +152,13 @@ def _observe(
         stack.saturation,
     )
     gamma = gamma_finding(stack.images, layout, stack.noise, stack.saturation, name)
-    return Observation(phases, view, () if gamma is None else (gamma,))
+    return Observation(phases, view, stack.findings if gamma is None else (*stack.findings, gamma))
 
 
 def _observe_patterns(stack: _Stack, layout: Layout, threads: int) -> Observation:
     patterns = tuple(stack.images[i] for i in layout.statistical)
     view = temporal_view(patterns, stack.noise, stack.saturation, threads)
-    return Observation({}, replace(view, white=_white(stack.images, layout)), patterns=patterns)
+    return Observation({}, replace(view, white=_white(stack.images, layout)), stack.findings, patterns)
 
 
 def _average(maps: Sequence[Map], counts: Sequence[int]) -> Map:

@@ -26,6 +26,10 @@ MIN_AGREEMENT = 0.3
 MIN_MODULATION = 0.2
 
 
+class Contradiction(InputError):
+    """Coarse and fine patterns contradict each other nearly everywhere."""
+
+
 def gray_positions(images: Sequence[GreyImage], code: AxisCode, layout: Layout, threads: int) -> Map:
     """Return the projector position (H, W) [px] of the centre of each pixel's Gray cell.
 
@@ -86,7 +90,7 @@ def gray_offset(views: Sequence[tuple[Sequence[GreyImage], Map]], code: AxisCode
         total += (gray * wave[usable].conj()).sum()
         count += int(usable.sum())
     if count == 0 or abs(total) < MIN_AGREEMENT * count:
-        raise InputError(
+        raise Contradiction(
             f"{subject}: sequence",
             "Gray code and phase contradict each other nearly everywhere",
             "Gray bits in the right order (bit 0 the finest), the right cell_px, period_px and sign",

@@ -1,0 +1,1 @@
+"""What a capture says about itself: one module per question, answers as findings, what is unusable as InputError."""

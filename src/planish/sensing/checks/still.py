@@ -1,0 +1,142 @@
+"""Which images of a sequence show the same picture, so that the first of them can be compared with the last."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.measurement import Map
+from planish.sensing.images import GreyImage
+from planish.sensing.sequence import AxisCode, Layout
+
+#: Groups are joined with their neighbours in time until they hold so many images: less noise.
+JOINED_IMAGES = 4
+#: Lit cells of a Gray bit are compared where they make the time between first and last so many times longer.
+LONGER = 1.5
+#: Lit cells are brighter than this share of the brightness under full light.
+LIT_LEVEL = 0.6
+#: Pixels beside the border of a lit cell, where lens and projector blur it.
+BORDER_PX = 2
+
+
+@dataclass(frozen=True)
+class Still:
+    """Images in whose mean the patterns cancel.
+
+    Parameters
+    ----------
+    images : tuple of int
+        Indices in the sequence.
+    name : str
+        In words.
+    lit_only : bool
+        True where only the lit cells of a Gray bit can be compared.
+    light : float
+        Share of the projector's light in their mean.
+    """
+
+    images: tuple[int, ...]
+    name: str
+    lit_only: bool = False
+    light: float = 0.5
+
+    @property
+    def time(self) -> float:
+        """Mean place in the sequence."""
+        return float(np.mean(self.images))
+
+
+def stills(layouts: Sequence[Layout]) -> list[Still]:
+    """Return all groups of images that show the scene without patterns, in the order of time."""
+    found: list[Still] = []
+    for layout in layouts:
+        for code in layout.codes:
+            found += [Still(p.images, f"the fringes of {p.period_px:g} px") for p in code.periods]
+            found += _gray_stills(code)
+        found += [Still((i,), "white", light=1.0) for i in layout.white]
+    return sorted(found, key=lambda still: still.time)
+
+
+def _gray_stills(code: AxisCode) -> list[Still]:
+    if code.gray is None:
+        return []
+    bits = range(len(code.gray.images) - 1, -1, -1)
+    found = []
+    for bit, index, inverse in zip(bits, code.gray.images, code.gray.inverse, strict=True):
+        if inverse >= 0:
+            found.append(Still((index, inverse), f"Gray bit {bit} of {code.axis}"))
+        else:
+            found.append(Still((index,), f"the lit cells of Gray bit {bit}", True, 1.0))
+    return found
+
+
+def to_compare(found: Sequence[Still]) -> list[tuple[Still, Still]]:
+    """Return the pairs (first, last) of groups to be compared, the one that spans most of the time first.
+
+    Lit cells cover half of the image only: of two Gray bits nothing would be left, and fine cells hold no texture.
+    """
+    whole = [still for still in found if not still.lit_only]
+    if not whole:
+        return []
+    first, last = whole[0], whole[-1]
+    span = last.time - first.time
+    pairs = []
+    # Bits are shown from the coarsest to the finest: the first one before the fringes, or after them, counts.
+    before = [s for s in found if s.lit_only and s.time < first.time][:1]
+    after = [s for s in found if s.lit_only and s.time > last.time][:1]
+    if before and last.time - before[0].time > LONGER * span:
+        pairs.append((before[0], last))
+    elif after and after[0].time - first.time > LONGER * span:
+        pairs.append((first, after[0]))
+    if last is not first:
+        pairs.append((_joined(whole, 1), _joined(whole[::-1], -1)))
+    return pairs
+
+
+def _joined(groups: Sequence[Still], direction: int) -> Still:
+    joined = groups[0]
+    # At most half of the groups: first and last have to differ.
+    for group in groups[1 : len(groups) // 2]:
+        if len(joined.images) >= JOINED_IMAGES:
+            break
+        parts = (joined, group)[::direction]
+        images = parts[0].images + parts[1].images
+        light = sum(part.light * len(part.images) for part in parts) / len(images)
+        joined = Still(images, _span(parts[0].name, parts[1].name), light=light)
+    return joined
+
+
+def mean_of(images: Sequence[GreyImage], indices: Sequence[int], rows: slice) -> Map:
+    """Return the mean (rows, W) of some images."""
+    total = np.zeros(images[0][rows].shape, np.float32)
+    for index in indices:
+        cv2.accumulate(images[index][rows], total)
+    total *= np.float32(1 / len(indices))
+    return total
+
+
+def comparable(
+    images: Sequence[GreyImage], first: Still, last: Still, means: tuple[Map, Map], rows: slice, contrast: float,
+    saturation: float,
+) -> NDArray[np.uint8]:  # fmt: skip
+    """Return where (rows, W) two groups can be compared, 1 or 0: lit by the projector, nowhere saturated."""
+    indices = first.images + last.images
+    high, low = images[indices[0]][rows], images[indices[0]][rows]
+    for index in indices[1:]:
+        high, low = cv2.max(high, images[index][rows]), cv2.min(low, images[index][rows])
+    usable = (cv2.subtract(high, low) > contrast) & (high < saturation)
+    counts = usable.view(np.uint8)
+    for still, own, other, light in ((first, *means, last.light), (last, *means[::-1], first.light)):
+        if still.lit_only:
+            lit = (own > np.float32(LIT_LEVEL / light) * other).view(np.uint8)
+            size = 2 * BORDER_PX + 1
+            counts = counts & cv2.erode(lit, np.ones((size, size), np.uint8))
+    return np.asarray(counts, np.uint8)
+
+
+def _span(first: str, last: str) -> str:
+    return f"{first.split(' to ')[0]} to {last.split(' to ')[-1]}"
