@@ -29,7 +29,7 @@ def job(tmp_path_factory):
                    "--width-scale", 0.5, "--no-true-points").code == 0  # fmt: skip
     measured = planish("measure", folder / "captures", "--out", folder / "measurements")
     assert measured.code == 0
-    assert measured.out.count("points") == 3
+    assert measured.out.count(" points, ") == 3
     registered = planish("register", folder / "measurements", "--out", folder / "out")
     assert registered.code == 0
     return folder, registered

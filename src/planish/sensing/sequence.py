@@ -164,7 +164,21 @@ def _axis_code(
 ) -> AxisCode:
     periods = tuple(_period(subject, p, phases) for p in sorted({e.period_px for _, e in phases}, reverse=True))
     gray = _gray(subject, grays) if grays else None
-    return AxisCode(axis, periods, gray, extent, _ladder(periods, gray, extent, subject) if periods else None)
+    return make_axis_code(axis, periods, gray, extent, subject)
+
+
+def make_axis_code(
+    axis: Axis, periods: tuple[PeriodSteps, ...], gray: GrayCode | None, extent_px: float | None, subject: str
+) -> AxisCode:
+    """Return the code with the ladder of its periods.
+
+    Raises
+    ------
+    InputError
+        Where nothing tells which fringe is which; it names `subject`.
+    """
+    ladder = _ladder(periods, gray, extent_px, subject) if periods else None
+    return AxisCode(axis, periods, gray, extent_px, ladder)
 
 
 def _ladder(periods: tuple[PeriodSteps, ...], gray: GrayCode | None, extent: float | None, subject: str) -> Ladder:

@@ -11,7 +11,7 @@ import numpy as np
 from planish.errors import InputError
 from planish.geometry import Array
 from planish.measurement import Finding, Map, NoiseModel
-from planish.sensing.checks.shift import BLOCK_PX, BlockSums, Shift, block_sums, solve_shift
+from planish.sensing.checks.shift import BLOCK_PX, NOT_OBSERVABLE, BlockSums, Shift, block_sums, solve_shift
 from planish.sensing.checks.still import Still, comparable, mean_of, stills, to_compare
 from planish.sensing.images import GreyImage
 from planish.sensing.sequence import Layout, PeriodSteps
@@ -33,6 +33,8 @@ WINDOW_BLOCKS, TILE_BLOCKS = 8, 4
 SAMPLED_PX = 300_000
 #: The fit residual is a second witness only.
 DRIFT_PX = 90_000
+#: Bins of the phase for what repeats with it.
+PHASE_BINS = 48
 #: Contrast of the patterns, in standard deviations of a grey value, that shows that a pixel is lit.
 LIT_SIGMAS = 6.0
 #: Periods beyond this share of the projector are long: a window sees a part of one.
@@ -122,7 +124,7 @@ def drift(
     Notes
     -----
     I_k = A(x - s k / (N - 1)) + B cos(phi - angle_k): the weights w with sum w_k (1, cos, sin)(angle_k) = 0 and
-    sum w_k k / (N - 1) = 1 leave -s . grad A. Harmonics of the fringes stay in it; they count by their scatter. The
+    sum w_k k / (N - 1) = 1 leave -s . grad A. Harmonics of the fringes are taken off as a function of the phase. The
     texture is lit by the fringes: what moves is sum w_k k / (N - 1) I_k, which is A where fringes are short against a
     window (they average out in it), but not where they are `long`.
     """
@@ -139,14 +141,32 @@ def drift(
                 shown += np.float32(weight * when) * images[index][rows]
         if not long:
             shown = mean
+        ramp -= _wave_form(ramp, images, steps, rows)
         usable = comparable(images, group, group, (mean, mean), rows, _contrast_limit(mean, noise), saturation)
         if long:
             # Where the weighted light is next to nothing, the movement cannot be seen.
             usable &= (cv2.blur(shown, (BLOCK_PX, BLOCK_PX)) > np.float32(SEEN_LIGHT) * mean).view(np.uint8)
         sums.append(block_sums(shown - ramp, shown + ramp, usable, noise, (share, share), threads))
         tops.append(rows.start)
-    # Harmonics of the fringes may look like a movement of a window; over the image they average out.
-    return replace(locate(sums, tops), local=None, place_px=None)
+    # Harmonics of the fringes may look like a movement of a window; over the image they average out. Where they are
+    # most of what is left, nothing is known.
+    found = replace(locate(sums, tops), local=None, place_px=None)
+    return replace(found, everywhere=NOT_OBSERVABLE) if found.everywhere.unexplained else found
+
+
+def _wave_form(left: Map, images: Sequence[GreyImage], steps: PeriodSteps, rows: slice) -> Map:
+    """Return the part of what is left over (h, W) that repeats with the phase: fringes that are no cosine."""
+    cosine, sine = np.zeros_like(left), np.zeros_like(left)
+    for index, angle in zip(steps.images, steps.angles, strict=True):
+        grey = images[index][rows].astype(np.float32)
+        cosine += np.float32(2 / len(steps.images) * np.cos(angle)) * grey
+        sine += np.float32(2 / len(steps.images) * np.sin(angle)) * grey
+    amplitude = np.hypot(cosine, sine)
+    place = (np.arctan2(sine, cosine) * (PHASE_BINS / (2 * np.pi))).astype(np.int64) % PHASE_BINS
+    # Least squares of left = amplitude * form(phase) in each bin.
+    power = np.bincount(place.ravel(), (amplitude * amplitude).ravel(), PHASE_BINS)
+    form = np.bincount(place.ravel(), (amplitude * left).ravel(), PHASE_BINS) / np.maximum(power, 1e-9)
+    return np.asarray(amplitude * form[place], np.float32)
 
 
 def drift_weights(steps: PeriodSteps) -> tuple[Array, Array]:
@@ -261,7 +281,7 @@ def _shrunk(image: GreyImage) -> GreyImage:
 
 
 def _scaled(shift: Shift, factor: int) -> Shift:
-    return Shift(factor * shift.pixels, factor**2 * shift.covariance)
+    return Shift(factor * shift.pixels, factor**2 * shift.covariance, shift.unexplained)
 
 
 def _contrast_limit(mean: Map, noise: NoiseModel) -> float:
@@ -288,7 +308,9 @@ def _judge(found: Movement, quantity: str, source: str, subject: str) -> Finding
     worst = found.worst
     if worst.sigma_px > MAX_SIGMA_PX and worst.sigmas_beyond(MAX_MOVEMENT_PX) < REFUSE_SIGMAS:
         seen = f"{source}: too little texture, standard deviation {worst.sigma_px:.2g} px"
-        return Finding(quantity, None, None, "px", seen if worst.sigma_px < 100 else f"{source}: no texture")
+        return Finding(
+            quantity, None, None, "px", seen if worst.sigma_px < 100 else f"{source}: no texture that shows it"
+        )
     where = "" if worst is found.everywhere or found.place_px is None else f", around pixel {found.place_px}"
     if not worst.seen:
         where += ", across the grain; along it not observable"

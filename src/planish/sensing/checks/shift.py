@@ -31,6 +31,9 @@ MIN_BLOCKS = 6
 #: gradients' power as noise: simulated shifts of 0.1 to 0.5 px.
 RELATIVE_SIGMA, FLOOR_SIGMA = 0.03, 0.05
 
+#: A difference of the images beyond this share of the noise's power is no noise; a movement has to explain half of it.
+MIN_EXCESS, MIN_EXPLAINED = 0.25, 0.5
+
 _x = np.arange(-REACH_PX, REACH_PX + 1)
 _smooth = np.exp(-0.5 * (_x / BLUR_PX) ** 2)
 _smooth /= _smooth.sum()
@@ -81,10 +84,13 @@ class Shift:
         (u, v) [px]; 0 along a direction that is not observable.
     covariance : ndarray (2, 2)
         [px^2]; UNKNOWN along a direction that is not observable.
+    unexplained : bool
+        Whether the images differ by much more than noise and this movement.
     """
 
     pixels: Array
     covariance: Array
+    unexplained: bool = False
 
     @property
     def length_px(self) -> float:
@@ -169,4 +175,7 @@ def solve_shift(sums: BlockSums, noisy: bool = True) -> Shift:
     systematic = basis[:2, seen] * parts
     hidden = basis[:2, ~seen]
     hidden = hidden / np.maximum(np.linalg.norm(hidden, axis=0), 1e-12)
-    return Shift(x[:2], covariance + systematic @ systematic.T + UNKNOWN * hidden @ hidden.T)
+    noise = float(blocks.variance.sum())
+    excess = float(blocks.power.sum()) - noise
+    unexplained = excess > MIN_EXCESS * noise and float(x @ blocks.right.sum(0)) < MIN_EXPLAINED * excess
+    return Shift(x[:2], covariance + systematic @ systematic.T + UNKNOWN * hidden @ hidden.T, unexplained)

@@ -11,10 +11,12 @@ from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.decode.gray import Contradiction
 from planish.sensing.images import GreyImage
 from planish.sensing.observe import Observation, observe
-from planish.sensing.sequence import AxisCode, Layout, PeriodSteps
+from planish.sensing.sequence import AxisCode, Layout, PeriodSteps, make_axis_code
 
 #: Among the pixels that show fringes, slips are rare (beside edges, in noise): a larger share is no accident.
 MAX_SLIP_SHARE = 0.3
+#: Inter-reflection alone is no contradiction; beside so many slips it is one.
+MIN_SLIP_SHARE = 0.1
 #: Fewer lit pixels than this share of the image say nothing.
 MIN_LIT_SHARE = 0.01
 #: A change of the sequence explains the slips where it leaves less than this share of them.
@@ -26,10 +28,18 @@ SAMPLE_STRIDE = 3
 
 
 def slip_share(phase: PhaseMap) -> float:
-    """Return the share of slips among the pixels that show fringes; 0 where next to none do."""
+    """Return the share of contradictions among the pixels that show fringes; 0 where next to none do.
+
+    A wrong sequence makes differences of any size: those of less than a slip look like inter-reflection.
+    """
     shown = (phase.rejected & (rejection_bit("dark") | rejection_bit("saturated") | rejection_bit("masked"))) == 0
-    slipped = (phase.rejected & rejection_bit("slip")) != 0
-    return float(slipped[shown].mean()) if shown.mean() > MIN_LIT_SHARE else 0.0
+    if shown.mean() <= MIN_LIT_SHARE:
+        return 0.0
+    reasons = phase.rejected[shown]
+    slips = float(((reasons & rejection_bit("slip")) != 0).mean())
+    if slips < MIN_SLIP_SHARE:
+        return slips
+    return float(((reasons & (rejection_bit("slip") | rejection_bit("interreflection"))) != 0).mean())
 
 
 def worst_share(seen: Mapping[str, Observation]) -> float:
@@ -80,6 +90,8 @@ def explain(
     best, said = EXPLAINED * share, ""
     for words, changed in _changes(layout):
         try:
+            codes = (make_axis_code(c.axis, c.periods, c.gray, c.extent_px, subject) for c in changed.codes)
+            changed = replace(changed, codes=tuple(codes))
             seen = observe(few.__getitem__, list(few), changed, options, subject, threads)
         except InputError:
             continue
