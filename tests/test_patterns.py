@@ -186,7 +186,7 @@ def test_the_beats_of_heterodyne_periods_tell_every_place_of_the_projector_apart
 @given(size=SIZES, cell=st.floats(1, 20), inverses=st.booleans())
 def test_gray_bits_count_the_cells_of_any_projector(size, cell, inverses):
     bits = gray_bits(size[0], cell, inverses=inverses)
-    assert np.array_equal(gray_words(bits, size[0]), np.arange(size[0]) // cell)
+    assert np.array_equal(gray_words(bits, size[0]), np.floor(np.arange(size[0]) / cell))
     images = [encode(e, np.arange(size[0])) for e in bits]
     if inverses:
         assert all(np.array_equal(a + b, np.ones(size[0])) for a, b in zip(images[::2], images[1::2], strict=True))
@@ -196,7 +196,7 @@ def test_gray_bits_count_the_cells_of_any_projector(size, cell, inverses):
 def test_gray_cells_are_whole_or_half_periods_and_count_them(size, period, complementary):
     entries = gray_phase_sequence(size, period_px=period, complementary=complementary)
     cell = period / 2 if complementary else period
-    assert np.array_equal(gray_words(entries, size[0]), np.arange(size[0]) // cell)
+    assert np.array_equal(gray_words(entries, size[0]), np.floor(np.arange(size[0]) / cell))
 
 
 def test_without_inverses_the_gray_code_alone_has_half_the_images():

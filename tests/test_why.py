@@ -105,7 +105,8 @@ def test_measure_writes_the_picture_and_prints_the_shares(tmp_path, monkeypatch,
     assert not stop.value.code
     lines = capsys.readouterr().out.splitlines()
     m = Measurement.load(tmp_path / "part.h5")
-    assert [line.split()[0] for line in lines[1:]] == ["valid", *REJECTIONS]
-    assert f"{100 * m.valid.mean():.2f} %" in lines[1]
+    shares = lines[-len(REJECTIONS) - 1 :]
+    assert [line.split()[0] for line in shares] == ["valid", *REJECTIONS]
+    assert f"{100 * m.valid.mean():.2f} %" in shares[0]
     image = cv2.imread(str(tmp_path / "part_why.png"), cv2.IMREAD_UNCHANGED)[..., ::-1]
     assert np.array_equal(image, why_picture(m))

@@ -18,6 +18,8 @@ from planish.pipeline import measure as measure_capture
 from planish.sensing.capture import Capture
 
 MANIFEST = "capture.json"
+#: Findings that are always printed; the others stand in the file, and are printed on request.
+MAIN_FINDINGS = ("movement in", "row error", "projector against", "coverage")
 
 
 def find_captures(paths: list[Path], images_dir: Path | None) -> list[Capture]:
@@ -62,10 +64,11 @@ def summary(measurement: Measurement) -> str:
     )
 
 
-def _say(measurement: Measurement) -> None:
+def _say(measurement: Measurement, all_findings: bool) -> None:
     """Print what the capture says about itself: findings as results, what the user should know as warnings."""
     for finding in measurement.findings:
-        typer.echo(f"  {finding}")
+        if all_findings or finding.quantity.startswith(MAIN_FINDINGS):
+            typer.echo(f"  {finding}")
         if finding.warning:
             console.print("warning:", style="bold yellow", end=" ")
             text = f"{measurement.name}: {finding.warning}"
@@ -95,6 +98,9 @@ def measure(
     ] = "auto",
     texture_views: Annotated[str, typer.Option(help="Cameras whose images serve as texture.")] = "A,B",
     why: Annotated[bool, typer.Option("--why", help="Also show why pixels have no point, in <name>_why.png.")] = False,
+    findings: Annotated[
+        bool, typer.Option("--findings", help="Print all that a capture says about itself, not the main points only.")
+    ] = False,
     threads: Annotated[int | None, typer.Option(help="Threads; the bytes do not depend on it.")] = None,
 ) -> None:
     """Turn the fringe images of each CAPTURE into a textured 3D measurement."""
@@ -110,7 +116,7 @@ def measure(
             measurement = measure_capture(capture, options, count)
             measurement.save(out / f"{measurement.name}.h5")
             typer.echo(summary(measurement))
-            _say(measurement)
+            _say(measurement, findings)
             if why:
                 _explain(measurement, out / f"{measurement.name}_why.png")
             progress.advance(task)

@@ -30,6 +30,7 @@ COLOURS: dict[str, str] = {
     "mismatch": "#9f0080",
     "edge": "#209f60",
     "isolated": "#9f60ff",
+    "ambiguous": "#4b000f",
 }
 #: Grey range of the texture, and the quantiles of its grey levels that are stretched to it.
 GREYS, QUANTILES = (40, 225), (0.01, 0.99)
