@@ -177,14 +177,18 @@ def fill_by_projector(
         return located
     if agreement.systematic_px > options.projector_px:
         return replace(located, third=None)
-    empty = np.isnan(located.points.sigma_mm) & np.isfinite(found.sigma_mm)
-    points, sigma, miss = located.points.points_sensor, located.points.sigma_mm, located.points.miss_px
+    empty = np.flatnonzero(np.isnan(located.points.sigma_mm) & np.isfinite(found.sigma_mm))
+    points, sigma, miss = (m.reshape(len(wanted.ravel()), -1) for m in _maps(located.points))
+    more, more_sigma, more_miss = (m.reshape(len(wanted.ravel()), -1) for m in _maps(found))
     # In place: nobody else holds these maps.
-    points[empty] = found.points_sensor[empty]
-    per_px = found.sigma_mm[empty] / phase.sigma_px[empty]
-    sigma[empty] = np.hypot(found.sigma_mm[empty], np.float32(agreement.systematic_px) * per_px)
-    miss[empty] = found.miss_px[empty]
+    points[empty], miss[empty] = more[empty], more_miss[empty]
+    per_px = more_sigma[empty] / phase.sigma_px.reshape(-1, 1)[empty]
+    sigma[empty] = np.hypot(more_sigma[empty], np.float32(agreement.systematic_px) * per_px)
     return located
+
+
+def _maps(points: TriangulatedPoints) -> tuple[Map, Map, Map]:
+    return points.points_sensor, points.sigma_mm, points.miss_px
 
 
 def _by_projector(
