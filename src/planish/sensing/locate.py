@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.errors import InputError
 from planish.measurement import Finding, Map, rejection_bit
@@ -125,7 +126,31 @@ def locate_by_projector(
     return Located(found, phase, None, None, findings)
 
 
-def fill_by_projector(
+@dataclass(frozen=True)
+class Filling:
+    """Points by the projector for pixels that have none by two cameras.
+
+    Parameters
+    ----------
+    pixels : ndarray (n,) int
+        Flat indices of the pixels.
+    points_sensor, sigma_mm, miss_px : ndarray (n, 3), (n,), (n,)
+        As in TriangulatedPoints.
+    trusted : bool
+        Whether the projector agrees with the cameras well enough to check their points.
+    findings : tuple of Finding
+        How projector and cameras agree.
+    """
+
+    pixels: NDArray[np.intp]
+    points_sensor: Map = field(metadata={"unit": "mm"})
+    sigma_mm: Map = field(metadata={"unit": "mm"})
+    miss_px: Map = field(metadata={"unit": "px"})
+    trusted: bool
+    findings: tuple[Finding, ...]
+
+
+def find_missing(
     located: Located,
     phases: Mapping[Axis, PhaseMap],
     own: Camera,
@@ -134,8 +159,8 @@ def fill_by_projector(
     options: RejectOptions,
     subject: str,
     threads: int,
-) -> Located:
-    """Return the points with those added that the other camera does not see but the projector's calibration gives.
+) -> Filling:
+    """Return the points that the other camera does not see but the projector's calibration gives.
 
     Parameters
     ----------
@@ -160,35 +185,41 @@ def fill_by_projector(
     than is allowed, no point rests on the projector, nor does the projector check any.
     """
     # Only where a point is missing, and at a sample of the others.
-    wanted = np.isnan(located.points.sigma_mm)
+    missing = np.isnan(located.points.sigma_mm)
+    wanted = missing.copy()
     wanted[::SAMPLE_STRIDE, ::SAMPLE_STRIDE] = True
-    located = replace(located, phase=phases[located.phase.axis])
     nowhere = np.float32(np.nan)
     phases = {a: replace(p, position_px=np.where(wanted, p.position_px, nowhere)) for a, p in phases.items()}
     try:
         found, phase, findings = _by_projector(phases, own, projector, options, subject, threads)
     except InputError as error:
-        silent = Finding("projector against cameras", None, None, "projector px", error.found)
-        return replace(located, findings=(*located.findings, silent))
+        return _nothing(True, (Finding("projector against cameras", None, None, "projector px", error.found),))
     agreement = measure_agreement(located.points, found, phase, own, period_px)
     against = _finding("projector against cameras", agreement, options.projector_px, "points that both cameras see")
-    located = replace(located, findings=(*located.findings, *findings, against))
-    if agreement.systematic_px is None:
-        return located
-    if agreement.systematic_px > options.projector_px:
-        return replace(located, third=None)
-    empty = np.flatnonzero(np.isnan(located.points.sigma_mm) & np.isfinite(found.sigma_mm))
-    points, sigma, miss = (m.reshape(len(wanted.ravel()), -1) for m in _maps(located.points))
-    more, more_sigma, more_miss = (m.reshape(len(wanted.ravel()), -1) for m in _maps(found))
-    # In place: nobody else holds these maps.
-    points[empty], miss[empty] = more[empty], more_miss[empty]
-    per_px = more_sigma[empty] / phase.sigma_px.reshape(-1, 1)[empty]
-    sigma[empty] = np.hypot(more_sigma[empty], np.float32(agreement.systematic_px) * per_px)
-    return located
+    systematic = agreement.systematic_px
+    if systematic is None or systematic > options.projector_px:
+        return _nothing(systematic is None, (*findings, against))
+    pixels = np.flatnonzero(missing & np.isfinite(found.sigma_mm))
+    sigma = found.sigma_mm.ravel()[pixels]
+    per_px = sigma / phase.sigma_px.ravel()[pixels]
+    sigma = np.hypot(sigma, np.float32(systematic) * per_px)
+    points, miss = found.points_sensor.reshape(-1, 3)[pixels], found.miss_px.ravel()[pixels]
+    return Filling(pixels, points, sigma, miss, True, (*findings, against))
 
 
-def _maps(points: TriangulatedPoints) -> tuple[Map, Map, Map]:
-    return points.points_sensor, points.sigma_mm, points.miss_px
+def fill_in(located: Located, filling: Filling) -> Located:
+    """Add the points to the maps of `located`, in place."""
+    points = located.points
+    points.points_sensor.reshape(-1, 3)[filling.pixels] = filling.points_sensor
+    points.sigma_mm.reshape(-1)[filling.pixels] = filling.sigma_mm
+    points.miss_px.reshape(-1)[filling.pixels] = filling.miss_px
+    third = located.third if filling.trusted else None
+    return replace(located, third=third, findings=(*located.findings, *filling.findings))
+
+
+def _nothing(trusted: bool, findings: tuple[Finding, ...]) -> Filling:
+    none: Map = np.empty(0, np.float32)
+    return Filling(np.empty(0, np.intp), none.reshape(0, 3), none, none, trusted, findings)
 
 
 def _by_projector(
