@@ -1,0 +1,78 @@
+"""Plane residual of a real flat board seen by one camera and a projector, Gray code alone (procam_board).
+
+    python benchmarks/board.py
+
+Distances from the best plane, in units of the calibration (a square of the board measures 75). Cell centres are what a
+plain decoder has; the white part is the spread of second differences of the distance along the rows over 4 px, which
+slow errors of calibration and form do not enter.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+from planish.pipeline import measure
+from planish.sensing.decode import PhaseMap
+from planish.sensing.decode.gray import gray_positions
+from planish.sensing.projector import intersect
+from planish.sensing.sequence import read_layouts
+from render_tables import ROOT, save_table
+
+sys.path.insert(0, str(ROOT / "tests" / "real"))
+from captures import load, robust_spread
+from test_board import CELL_PX, board, fit_plane
+
+APART_PX = 4
+
+
+def main() -> None:
+    rows = []
+    for index in range(3):
+        capture = load("procam_board", f"capture_{index}.json")
+        rig, images = capture.load_rig("A"), capture.read_images("A")
+        camera = rig.cameras["A"]
+        (layout,) = read_layouts(capture.manifest, "capture.json", rig.projector.size_px)
+        mask, _ = board(capture)
+        plain = {}
+        for code in layout.codes:
+            position = np.where(mask, gray_positions(images, code, layout, 2), np.nan).astype(np.float32)
+            sigma = np.full(position.shape, CELL_PX / np.sqrt(12), np.float32)
+            plain[code.axis] = PhaseMap(code.axis, position, sigma, np.zeros(position.shape, np.uint16))
+        centres = intersect(plain, "v", camera, rig.projector, 2)
+        *_, distance, inliers = fit_plane(centres.points_sensor[np.isfinite(centres.sigma_mm)].astype(float))
+        item = measure(capture)
+        use = mask & item.valid
+        _, normal, edges, near = fit_plane(item.points_sensor[use].astype(float))
+        maps = np.full((2, *mask.shape), np.nan)
+        ray = item.points_sensor[use] / np.linalg.norm(item.points_sensor[use], axis=1, keepdims=True)
+        maps[0][use], maps[1][use] = edges, item.sigma_mm[use] * np.abs(ray @ normal)
+        second = maps[0][:, 2 * APART_PX :] - 2 * maps[0][:, APART_PX:-APART_PX] + maps[0][:, : -2 * APART_PX]
+        rows.append({
+            "what": f"capture {index}",
+            "points": int(use.sum()),
+            "share": float(use.sum() / mask.sum()),
+            "plain": float(np.std(distance[inliers])),
+            "edges": float(np.std(edges[near])),
+            "robust": float(robust_spread(edges)),
+            "white": float(robust_spread(second[np.isfinite(second)]) / np.sqrt(6)),
+            "predicted": float(np.nanmedian(maps[1])),
+        })  # fmt: skip
+        print(rows[-1])
+    columns = {
+        "what": "position of the board",
+        "points": "points",
+        "share": "of its lit pixels",
+        "plain": "cell centres, rms",
+        "edges": "edges between the pixels, rms",
+        "robust": "the same, robust sigma",
+        "white": "white part",
+        "predicted": "predicted sigma",
+    }
+    formats = {"points": ",d", "share": ".1%"} | dict.fromkeys(("plain", "edges", "robust", "white", "predicted"), ".2f")
+    save_table("board", columns, rows, "python benchmarks/board.py", formats)
+
+
+if __name__ == "__main__":
+    main()
