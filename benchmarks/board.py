@@ -70,8 +70,8 @@ def main() -> None:
         "white": "white part",
         "predicted": "predicted sigma",
     }
-    formats = {"points": ",d", "share": ".1%"} | dict.fromkeys(("plain", "edges", "robust", "white", "predicted"), ".2f")
-    save_table("board", columns, rows, "python benchmarks/board.py", formats)
+    units = dict.fromkeys(("plain", "edges", "robust", "white", "predicted"), ".2f")
+    save_table("board", columns, rows, "python benchmarks/board.py", {"points": ",d", "share": ".1%", **units})
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ WHITE, BLACK, LIT_LEVELS = 40, 41, 20
 CELL_PX = 2.0
 #: Seen with cell centres: 0.67, 0.64, 0.68 px of the projector. Quantisation alone is 2 / sqrt(12) = 0.58.
 PLAIN_PX = 0.70
-#: The same rms in units of the board: 3.4, 1.35, 2.15; with sub-pixel edges less than these.
+#: The same rms in units of the board: 3.4, 1.35, 2.15; with sub-pixel edges 1.77, 0.50, 1.04.
 EDGES_UNITS = (1.9, 0.6, 1.15)
 
 
