@@ -3,8 +3,7 @@
     python benchmarks/board.py
 
 Distances from the best plane, in units of the calibration (a square of the board measures 75). Cell centres are what a
-plain decoder has; the white part is the spread of second differences of the distance along the rows over 4 px, which
-slow errors of calibration and form do not enter.
+plain decoder has.
 """
 
 from __future__ import annotations
@@ -23,8 +22,6 @@ from render_tables import ROOT, save_table
 sys.path.insert(0, str(ROOT / "tests" / "real"))
 from captures import load, robust_spread
 from test_board import CELL_PX, board, fit_plane
-
-APART_PX = 4
 
 
 def main() -> None:
@@ -45,10 +42,7 @@ def main() -> None:
         item = measure(capture)
         use = mask & item.valid
         _, normal, edges, near = fit_plane(item.points_sensor[use].astype(float))
-        maps = np.full((2, *mask.shape), np.nan)
         ray = item.points_sensor[use] / np.linalg.norm(item.points_sensor[use], axis=1, keepdims=True)
-        maps[0][use], maps[1][use] = edges, item.sigma_mm[use] * np.abs(ray @ normal)
-        second = maps[0][:, 2 * APART_PX :] - 2 * maps[0][:, APART_PX:-APART_PX] + maps[0][:, : -2 * APART_PX]
         rows.append({
             "what": f"capture {index}",
             "points": int(use.sum()),
@@ -56,8 +50,7 @@ def main() -> None:
             "plain": float(np.std(distance[inliers])),
             "edges": float(np.std(edges[near])),
             "robust": float(robust_spread(edges)),
-            "white": float(robust_spread(second[np.isfinite(second)]) / np.sqrt(6)),
-            "predicted": float(np.nanmedian(maps[1])),
+            "predicted": float(np.median(item.sigma_mm[use] * np.abs(ray @ normal))),
         })  # fmt: skip
         print(rows[-1])
     columns = {
@@ -67,10 +60,9 @@ def main() -> None:
         "plain": "cell centres, rms",
         "edges": "edges between the pixels, rms",
         "robust": "the same, robust sigma",
-        "white": "white part",
-        "predicted": "predicted sigma",
+        "predicted": "noise alone, predicted",
     }
-    units = dict.fromkeys(("plain", "edges", "robust", "white", "predicted"), ".2f")
+    units = dict.fromkeys(("plain", "edges", "robust", "predicted"), ".2f")
     save_table("board", columns, rows, "python benchmarks/board.py", {"points": ",d", "share": ".1%", **units})
 
 
