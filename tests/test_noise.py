@@ -7,6 +7,7 @@ from planish import _core
 from planish.sensing.grey_range import grey_range
 from planish.sensing.noise import estimate_image_noise, estimate_noise, full_scale
 from planish.sensing.sequence import read_layouts
+from planish.sensing.statistical import statistical_profile
 from reference import sensing as reference
 from sequences import gray_entries, manifest, phase_entries, render
 
@@ -144,3 +145,21 @@ def test_the_crest_of_fringes_without_noise_is_no_end_of_the_sensor():
     plan = manifest(phase_entries([320, 40], 4), projector_px=(320, 200))
     images = render(plan.sequence, np.tile(np.linspace(0, 319, 640), (240, 1)))
     assert full_scale(images, read_layouts(plan, "test")[0]) == 255
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_statistical_patterns_tell_their_noise_over_time(across):
+    """Gains of a texture that varies from pixel to pixel, and stripes, must not count as noise, along either axis."""
+    rng, shape = np.random.default_rng(8), (240, 320)
+    positions = np.tile(np.linspace(0, 300, shape[1]), (shape[0], 1)) + np.linspace(0, 3, shape[0])[:, None]
+    albedo = 0.3 + 0.7 * rng.random(shape)
+    images = []
+    for k in range(12):
+        grey = 15 + 200 * albedo * statistical_profile(positions, k)
+        grey += rng.standard_normal(shape) * np.sqrt(OFFSET + SLOPE * grey)
+        image = np.clip(np.round(grey), 0, 255).astype(np.uint8)
+        images.append(np.ascontiguousarray(image.T) if across else image)
+    (layout,) = read_layouts(manifest([{"role": "statistical", "index": k} for k in range(12)]), "test")
+    model = estimate_noise(images, layout, 255.0)
+    for level in (60.0, 120.0):
+        assert model.offset + model.slope * level == pytest.approx(OFFSET + SLOPE * level + 1 / 12, rel=RELATIVE)

@@ -29,7 +29,8 @@ from planish.sensing.locate import (
     Geometry,
     Located,
     cameras_needed,
-    fill_by_projector,
+    fill_in,
+    find_missing,
     locate_between_cameras,
     locate_by_correlation,
     locate_by_projector,
@@ -147,13 +148,15 @@ def _locate(
         assert projector is not None
         return locate_by_projector(phases[own], camera, projector, options.reject, subject, threads)
     located = locate_between_cameras(phases, rig, own, subject, threads)
-    fit = check_rig(seen, located, rig, own, subject, threads)
     if projector is None or options.geometry == "stereo":
-        return replace(located, findings=fit)
-    # What the projector's ray has to say, its filling in says better.
-    located = replace(located, findings=fit[:1])
+        return replace(located, findings=check_rig(seen, located, rig, own, subject, threads))
     period = min((period.period_px for period in layout.periods), default=None)
-    return fill_by_projector(located, phases[own], camera, projector, period, options.reject, subject, threads)
+    with ThreadPoolExecutor(1) as pool:
+        fit = pool.submit(check_rig, seen, located, rig, own, subject, threads)
+        filling = find_missing(located, phases[own], camera, projector, period, options.reject, subject, threads)
+        # What the projector's ray has to say, its filling in says better.
+        rows = fit.result()[:1]
+    return fill_in(replace(located, phase=phases[own][located.phase.axis], findings=rows), filling)
 
 
 def _texture_views(options: MeasureOptions, cameras: tuple[str, ...], subject: str) -> tuple[str, ...]:

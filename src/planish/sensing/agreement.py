@@ -38,17 +38,25 @@ class Agreement:
     sigma_px: float | None
 
 
+def sample_pixels(shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Return the flat indices (h, w) of the pixels of an image (H, W) that are looked at."""
+    rows, columns = (np.arange(0, n, SAMPLE_STRIDE) for n in shape)
+    return rows[:, None] * shape[1] + columns
+
+
 def measure_agreement(
-    cameras: TriangulatedPoints, projector: TriangulatedPoints, phase: PhaseMap, own: Camera, period_px: float | None
+    points_sensor: Map, projector: TriangulatedPoints, phase: PhaseMap, own: Camera, period_px: float | None
 ) -> Agreement:
     """Return how far the projector disagrees with the cameras beyond noise.
 
     Parameters
     ----------
-    cameras, projector : TriangulatedPoints
-        The same pixels' points (H, W) from two cameras, and from camera and projector.
+    points_sensor : ndarray (h, w, 3)
+        The sampled pixels' points from two cameras.
+    projector : TriangulatedPoints
+        Those from camera and projector (h, w).
     phase : PhaseMap
-        The organising camera's positions.
+        The organising camera's positions, of the sampled pixels (h, w).
     own : Camera
         The organising camera.
     period_px : float or None
@@ -61,15 +69,14 @@ def measure_agreement(
     movement do) and, after that, of bins of the phase (what fringes that are no cosine do). The two noises share the
     own phase, so their sum would not tell the noise of the difference.
     """
-    s = SAMPLE_STRIDE
-    a, b = (_distance(points.points_sensor[::s, ::s], own) for points in (cameras, projector))
-    px = (b - a) * phase.sigma_px[::s, ::s] / projector.sigma_mm[::s, ::s]
-    return _systematic(px, None if period_px is None else phase.position_px[::s, ::s] / np.float32(period_px))
+    a, b = (_distance(points, own) for points in (points_sensor, projector.points_sensor))
+    px = (b - a) * phase.sigma_px / projector.sigma_mm
+    return _systematic(px, None if period_px is None else phase.position_px / np.float32(period_px))
 
 
-def systematic_miss(found: TriangulatedPoints) -> Agreement:
-    """Return how far the two projector axes disagree beyond noise: `miss_px` (H, W) without its noise."""
-    return _systematic(found.miss_px[::SAMPLE_STRIDE, ::SAMPLE_STRIDE], None)
+def systematic_miss(miss_px: Map) -> Agreement:
+    """Return how far the two projector axes disagree beyond noise, from the misses of the sampled pixels (h, w)."""
+    return _systematic(miss_px, None)
 
 
 def _systematic(px: NDArray[np.floating], periods: NDArray[np.floating] | None) -> Agreement:

@@ -24,7 +24,7 @@ KEEP_SIGMAS = 4.0
 #: Image lines that are looked at, and clusters of pixels along and across them whose scatter gives the covariance.
 LINES, CLUSTERS = 64, 8
 #: Lines on which it is found out whether there is an error at all.
-FIRST_LINES = 16
+FIRST_LINES = 8
 #: Second differences beyond so many robust standard deviations are edges.
 CLIP_SIGMAS = 4.0
 #: chi^2 per degree of freedom from which an error is one, and amplitude below which it matters nowhere [rad].

@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.errors import InputError
 from planish.measurement import Finding, Map, rejection_bit
 from planish.rig import Camera, Rig
-from planish.sensing.agreement import SAMPLE_STRIDE, Agreement, measure_agreement, systematic_miss
+from planish.sensing.agreement import Agreement, measure_agreement, sample_pixels, systematic_miss
 from planish.sensing.axes import axis_between_cameras, axis_to_projector
 from planish.sensing.capture import Box
 from planish.sensing.correlate import CorrelateOptions, correlate
@@ -19,11 +20,13 @@ from planish.sensing.correspond import correspond
 from planish.sensing.decode import PhaseMap
 from planish.sensing.entries import Axis
 from planish.sensing.observe import Observation
-from planish.sensing.projector import ProjectorPoints, intersect
+from planish.sensing.projector import intersect
 from planish.sensing.reject import RejectOptions
 from planish.sensing.triangulate import TriangulatedPoints, triangulate
 
 Geometry = Literal["auto", "stereo", "projector"]
+#: Missing pixels stand in lists of this width.
+LIST_WIDTH = 512
 
 
 @dataclass(frozen=True)
@@ -121,11 +124,43 @@ def locate_by_projector(
     phases: Mapping[Axis, PhaseMap], own: Camera, projector: Camera, options: RejectOptions, subject: str, threads: int
 ) -> Located:
     """Return the points that the organising camera sees and the projector lights; `phases` are its own, per axis."""
-    found, phase, findings = _by_projector(phases, own, projector, options, subject, threads)
-    return Located(found, phase, None, None, findings)
+    axis = axis_to_projector(phases, own, projector, subject)
+    found, phase = intersect(phases, axis, own, projector, threads), phases[axis]
+    allowed, findings = _axes_against_each_other(found.miss_px.ravel()[sample_pixels(phase.shape)], options)
+    wrong = found.contradiction(allowed, options.sigmas)
+    phase = phase.without(wrong, "mismatch")
+    for array in (found.points_sensor, found.sigma_mm):
+        array[wrong] = np.nan
+    # The limit of a miss between cameras knows nothing of noise: what is left here is within it.
+    points = replace(found, miss_px=np.full_like(found.miss_px, np.nan))
+    return Located(points, phase, None, None, findings)
 
 
-def fill_by_projector(
+@dataclass(frozen=True)
+class Filling:
+    """Points by the projector for pixels that have none by two cameras.
+
+    Parameters
+    ----------
+    pixels : ndarray (n,) int
+        Flat indices of the pixels.
+    points_sensor, sigma_mm, miss_px : ndarray (n, 3), (n,), (n,)
+        As in TriangulatedPoints.
+    trusted : bool
+        Whether the projector agrees with the cameras well enough to check their points.
+    findings : tuple of Finding
+        How projector and cameras agree.
+    """
+
+    pixels: NDArray[np.intp]
+    points_sensor: Map = field(metadata={"unit": "mm"})
+    sigma_mm: Map = field(metadata={"unit": "mm"})
+    miss_px: Map = field(metadata={"unit": "px"})
+    trusted: bool
+    findings: tuple[Finding, ...]
+
+
+def find_missing(
     located: Located,
     phases: Mapping[Axis, PhaseMap],
     own: Camera,
@@ -134,8 +169,8 @@ def fill_by_projector(
     options: RejectOptions,
     subject: str,
     threads: int,
-) -> Located:
-    """Return the points with those added that the other camera does not see but the projector's calibration gives.
+) -> Filling:
+    """Return the points that the other camera does not see but the projector's calibration gives.
 
     Parameters
     ----------
@@ -159,51 +194,57 @@ def fill_by_projector(
     The systematic disagreement of the two, found from all points that both give, is added to sigma. Where it is larger
     than is allowed, no point rests on the projector, nor does the projector check any.
     """
-    # Only where a point is missing, and at a sample of the others.
-    wanted = np.isnan(located.points.sigma_mm)
-    wanted[::SAMPLE_STRIDE, ::SAMPLE_STRIDE] = True
-    located = replace(located, phase=phases[located.phase.axis])
-    nowhere = np.float32(np.nan)
-    phases = {a: replace(p, position_px=np.where(wanted, p.position_px, nowhere)) for a, p in phases.items()}
     try:
-        found, phase, findings = _by_projector(phases, own, projector, options, subject, threads)
+        axis = axis_to_projector(phases, own, projector, subject)
     except InputError as error:
-        silent = Finding("projector against cameras", None, None, "projector px", error.found)
-        return replace(located, findings=(*located.findings, silent))
-    agreement = measure_agreement(located.points, found, phase, own, period_px)
+        return _nothing(True, (Finding("projector against cameras", None, None, "projector px", error.found),))
+    places = sample_pixels(phases[axis].shape)
+    sample = intersect(phases, axis, own, projector, threads, places)
+    allowed, findings = _axes_against_each_other(sample.miss_px, options)
+    sampled = phases[axis].at(places)
+    points = located.points.points_sensor.reshape(-1, 3)[places]
+    agreement = measure_agreement(points, sample, sampled, own, period_px)
     against = _finding("projector against cameras", agreement, options.projector_px, "points that both cameras see")
-    located = replace(located, findings=(*located.findings, *findings, against))
-    if agreement.systematic_px is None:
-        return located
-    if agreement.systematic_px > options.projector_px:
-        return replace(located, third=None)
-    empty = np.isnan(located.points.sigma_mm) & np.isfinite(found.sigma_mm)
-    points, sigma, miss = located.points.points_sensor, located.points.sigma_mm, located.points.miss_px
-    # In place: nobody else holds these maps.
-    points[empty] = found.points_sensor[empty]
-    per_px = found.sigma_mm[empty] / phase.sigma_px[empty]
-    sigma[empty] = np.hypot(found.sigma_mm[empty], np.float32(agreement.systematic_px) * per_px)
-    miss[empty] = found.miss_px[empty]
-    return located
-
-
-def _by_projector(
-    phases: Mapping[Axis, PhaseMap], own: Camera, projector: Camera, options: RejectOptions, subject: str, threads: int
-) -> tuple[ProjectorPoints, PhaseMap, tuple[Finding, ...]]:
-    axis = axis_to_projector(phases, own, projector, subject)
-    found, phase = intersect(phases, axis, own, projector, threads), phases[axis]
-    findings: tuple[Finding, ...] = ()
-    if len(phases) > 1:
-        agreement = systematic_miss(found)
-        findings = (_finding("row error against the projector", agreement, options.projector_px, "second axis"),)
-        # Where the calibration is off everywhere, a pixel's miss is no reason to reject that pixel.
-        allowed = options.projector_px + 2 * (agreement.systematic_px or 0.0)
-        wrong = found.contradiction(allowed, options.sigmas)
-        phase = phase.without(wrong, "mismatch")
-        for array in (found.points_sensor, found.sigma_mm):
-            array[wrong] = np.nan
+    systematic = agreement.systematic_px
+    if systematic is None or systematic > options.projector_px:
+        return _nothing(systematic is None, (*findings, against))
+    missing = np.flatnonzero(np.isnan(located.points.sigma_mm) & np.isfinite(phases[axis].position_px))
+    rows = -(-len(missing) // LIST_WIDTH)
+    pixels = np.concatenate([missing, np.full(rows * LIST_WIDTH - len(missing), -1)]).reshape(rows, LIST_WIDTH)
+    found = intersect(phases, axis, own, projector, threads, pixels)
+    good = np.isfinite(found.sigma_mm) & ~found.contradiction(allowed, options.sigmas)
+    pixels, sigma = pixels[good], found.sigma_mm[good]
+    per_px = sigma / phases[axis].sigma_px.ravel()[pixels]
+    sigma = np.hypot(sigma, np.float32(systematic) * per_px)
     # The limit of a miss between cameras knows nothing of noise: what is left here is within it.
-    return replace(found, miss_px=np.full_like(found.miss_px, np.nan)), phase, findings
+    miss = np.full_like(sigma, np.nan)
+    return Filling(pixels, found.points_sensor[good], sigma, miss, True, (*findings, against))
+
+
+def fill_in(located: Located, filling: Filling) -> Located:
+    """Add the points to the maps of `located`, in place."""
+    points = located.points
+    points.points_sensor.reshape(-1, 3)[filling.pixels] = filling.points_sensor
+    points.sigma_mm.reshape(-1)[filling.pixels] = filling.sigma_mm
+    points.miss_px.reshape(-1)[filling.pixels] = filling.miss_px
+    third = located.third if filling.trusted else None
+    return replace(located, third=third, findings=(*located.findings, *filling.findings))
+
+
+def _nothing(trusted: bool, findings: tuple[Finding, ...]) -> Filling:
+    none: Map = np.empty(0, np.float32)
+    return Filling(np.empty(0, np.intp), none.reshape(0, 3), none, none, trusted, findings)
+
+
+def _axes_against_each_other(miss_px: Map, options: RejectOptions) -> tuple[float, tuple[Finding, ...]]:
+    """Return the miss [projector px] beyond noise that is allowed to a pixel, and how far both axes disagree."""
+    if not np.isfinite(miss_px).any():
+        return options.projector_px, ()
+    agreement = systematic_miss(miss_px)
+    # Where the calibration is off everywhere, a pixel's miss is no reason to reject that pixel.
+    allowed = options.projector_px + 2 * (agreement.systematic_px or 0.0)
+    finding = _finding("row error against the projector", agreement, options.projector_px, "second axis")
+    return allowed, (finding,)
 
 
 def _finding(quantity: str, agreement: Agreement, limit_px: float, source: str) -> Finding:

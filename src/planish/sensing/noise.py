@@ -21,6 +21,7 @@ from planish.measurement import NoiseModel
 from planish.sensing.grey_range import grey_range
 from planish.sensing.images import GreyImage
 from planish.sensing.sequence import Layout
+from planish.sensing.temporal_noise import temporal_samples
 
 Array = NDArray[np.float64]
 Samples = NDArray[np.float32]
@@ -31,6 +32,8 @@ SAMPLED_ROWS = 360
 COMPARED_ROWS, MAX_EXCESS = 24, 1.1
 #: Bins of grey level; those with fewer samples do not count.
 LEVELS, MIN_SAMPLES = 24, 400
+#: Fewer statistical patterns leave too little over.
+MIN_PATTERNS = 4
 #: Residuals beyond are not noise but motion or mixed pixels (standard deviations).
 CLIP_SIGMAS = 4.0
 
@@ -100,12 +103,14 @@ def estimate_noise(images: Sequence[GreyImage], layout: Layout, saturation: floa
     of level. With one period of three steps nothing but the mean image remains, compared with itself, which bounds the
     noise from above.
     """
+    quantisation = grey_range([], images).step ** 2 / 12.0
+    if len(layout.statistical) > MIN_PATTERNS:
+        return _fit(*temporal_samples([images[i] for i in layout.statistical], saturation), quantisation)
     contrasts = _clean(images, _contrasts(layout), saturation)
     found = [
         contrast.sample(images, saturation, SAMPLED_ROWS // len(contrasts), first)
         for first, contrast in enumerate(contrasts)
     ]
-    quantisation = grey_range([], images).step ** 2 / 12.0
     return _fit(np.concatenate([f[0] for f in found]), np.concatenate([f[1] for f in found]), quantisation)
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from threading import BoundedSemaphore
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,14 +58,13 @@ class Observation:
 
 @dataclass(frozen=True)
 class _Stack:
-    """The images of one camera, their noise, the positions by Gray code per axis, and what the images say."""
+    """The images of one camera, their noise, and the positions by Gray code per axis."""
 
     images: Sequence[GreyImage]
     saturation: float
     noise: NoiseModel
     gray: dict[Axis, Map]
     subject: str
-    findings: tuple[Finding, ...]
 
 
 def observe(
@@ -92,35 +92,54 @@ def observe(
     threads : int
         Number of threads; the result does not depend on it.
     """
-    workers = min(threads, len(cameras))
-    own = max(1, threads // workers)
-    with ThreadPoolExecutor(workers) as pool:
-        read = pool.map(lambda name: _stack(name, take(name), layout, subject, own), cameras)
-        stacks = dict(zip(cameras, read, strict=True))
-        offsets = _gray_offsets(stacks, layout, subject)
-        found = pool.map(lambda name: _observe(name, stacks[name], layout, offsets, options, own), cameras)
-        return dict(zip(cameras, found, strict=True))
+    slots = BoundedSemaphore(threads)
+
+    def stack(name: str) -> _Stack:
+        images = take(name)
+        with slots:
+            return _stack(name, images, layout, subject, threads)
+
+    def check(name: str) -> tuple[Finding, ...]:
+        seen = stacks[name].result()
+        with slots:
+            return check_images(seen.images, (layout,), seen.noise, seen.saturation, name, subject, threads)
+
+    def see(name: str) -> Observation:
+        own, shift = stacks[name].result(), offsets.result()
+        with slots:
+            return _observe(name, own, layout, shift, options, threads)
+
+    # A worker for each task, for tasks wait for each other; `slots` limits how many work at a time.
+    with ThreadPoolExecutor(3 * len(cameras) + 1) as pool:
+        stacks = {name: pool.submit(stack, name) for name in cameras}
+        checks = {name: pool.submit(check, name) for name in cameras}
+        offsets = pool.submit(_gray_offsets, stacks, layout, subject)
+        seen = {name: pool.submit(see, name) for name in cameras}
+        # First what the images say about themselves: it explains why they cannot be decoded.
+        findings = {name: checks[name].result() for name in cameras}
+        found = {name: seen[name].result() for name in cameras}
+    return {name: replace(item, findings=(*findings[name], *item.findings)) for name, item in found.items()}
 
 
 def _stack(name: str, images: Sequence[GreyImage], layout: Layout, subject: str, threads: int) -> _Stack:
     saturation = full_scale(images, layout)
     noise = estimate_noise(images, layout, saturation)
-    findings = check_images(images, (layout,), noise, saturation, name, subject, threads)
     gray = {
         code.axis: gray_positions(images, code, layout, threads)
         for code in layout.codes
         if code.gray is not None and code.periods
     }
-    return _Stack(images, saturation, noise, gray, f"{subject}: camera {name}", findings)
+    return _Stack(images, saturation, noise, gray, f"{subject}: camera {name}")
 
 
-def _gray_offsets(stacks: Mapping[str, _Stack], layout: Layout, subject: str) -> dict[Axis, float]:
-    # All cameras together: they would differ by a period if each had its own.
-    return {
-        code.axis: gray_offset([(stack.images, stack.gray[code.axis]) for stack in stacks.values()], code, subject)
-        for code in layout.codes
-        if code.gray is not None and code.periods
-    }
+def _gray_offsets(stacks: Mapping[str, Future[_Stack]], layout: Layout, subject: str) -> dict[Axis, float]:
+    offsets: dict[Axis, float] = {}
+    for code in layout.codes:
+        if code.gray is not None and code.periods:
+            # All cameras together: they would differ by a period if each had its own.
+            seen = [future.result() for future in stacks.values()]
+            offsets[code.axis] = gray_offset([(s.images, s.gray[code.axis]) for s in seen], code, subject)
+    return offsets
 
 
 def _observe(
@@ -152,13 +171,13 @@ def _observe(
         stack.saturation,
     )
     gamma = gamma_finding(stack.images, layout, stack.noise, stack.saturation, name)
-    return Observation(phases, view, stack.findings if gamma is None else (*stack.findings, gamma))
+    return Observation(phases, view, () if gamma is None else (gamma,))
 
 
 def _observe_patterns(stack: _Stack, layout: Layout, threads: int) -> Observation:
     patterns = tuple(stack.images[i] for i in layout.statistical)
     view = temporal_view(patterns, stack.noise, stack.saturation, threads)
-    return Observation({}, replace(view, white=_white(stack.images, layout)), stack.findings, patterns)
+    return Observation({}, replace(view, white=_white(stack.images, layout)), patterns=patterns)
 
 
 def _average(maps: Sequence[Map], counts: Sequence[int]) -> Map:

@@ -42,7 +42,12 @@ class ProjectorPoints(TriangulatedPoints):
 
 
 def intersect(
-    phases: Mapping[Axis, PhaseMap], primary: Axis, own: Camera, projector: Camera, threads: int
+    phases: Mapping[Axis, PhaseMap],
+    primary: Axis,
+    own: Camera,
+    projector: Camera,
+    threads: int,
+    pixels: NDArray[np.intp] | None = None,
 ) -> ProjectorPoints:
     """Return the point of each pixel's ray whose image in the projector has the decoded position.
 
@@ -56,6 +61,8 @@ def intersect(
         Their calibration, with lens distortion.
     threads : int
         Number of threads; the result does not depend on it.
+    pixels : ndarray (h, w) int or None
+        Flat indices of the pixels that are wanted, -1 for none; the result has this shape. Default: all pixels.
 
     Notes
     -----
@@ -64,19 +71,27 @@ def intersect(
     decoded axes i, x_i with the projector's distortion. Then sigma_l^-2 = sum (d x_i / d l)^2 / sigma_i^2, and
     sigma_mm = sigma_l |q| / |d n / d s|.
     """
-    u, v = (phases.get(axis) for axis in _AXES)
-    return ProjectorPoints(
-        *_core.intersect(
-            own.kernel_parameters,
-            undistortion_shifts(own, threads),
-            projector.kernel_parameters,
-            projector.size_px[0],
-            projector.size_px[1],
-            _ABSENT if u is None else u.position_px,
-            _ABSENT if u is None else u.sigma_px,
-            _ABSENT if v is None else v.position_px,
-            _ABSENT if v is None else v.sigma_px,
-            _AXES.index(primary),
-            threads,
-        )
-    )
+    shifts = undistortion_shifts(own, threads)
+    u, v = (_maps(phases.get(axis), pixels) for axis in _AXES)
+    if pixels is not None:
+        shifts = _shifts_of(pixels, shifts, own.size_px[0])
+    width, height = projector.size_px
+    parameters = own.kernel_parameters, shifts, projector.kernel_parameters
+    return ProjectorPoints(*_core.intersect(*parameters, width, height, *u, *v, _AXES.index(primary), threads))
+
+
+def _maps(phase: PhaseMap | None, pixels: NDArray[np.intp] | None) -> tuple[Map, Map]:
+    if phase is None:
+        return _ABSENT, _ABSENT
+    if pixels is None:
+        return phase.position_px, phase.sigma_px
+    taken = phase.at(pixels)
+    taken.position_px[pixels < 0] = np.nan
+    return taken.position_px, taken.sigma_px
+
+
+def _shifts_of(pixels: NDArray[np.intp], shifts: Map, width: int) -> Map:
+    # The kernel adds column and row of its own map: here that of the list, which is taken off again.
+    place = np.stack([pixels % width, pixels // width], -1) - np.stack([*np.indices(pixels.shape)][::-1], -1)
+    undistorted = place if shifts.size == 0 else place + shifts.reshape(-1, 2)[pixels]
+    return np.ascontiguousarray(undistorted, np.float32)

@@ -16,6 +16,8 @@ from planish.sensing.sequence import Layout
 SAMPLE_STRIDE = 8
 #: White must exceed black by so many standard deviations of a grey value; so many pixels must do so.
 MIN_CONTRAST_SIGMAS, MIN_PIXELS = 30.0, 200
+#: Pixels that are enough for a hundredth.
+ENOUGH_PIXELS = 4000
 #: Exponents that are looked for.
 RANGE = (0.2, 5.0)
 
@@ -58,6 +60,7 @@ def gamma_finding(
     usable = (white < saturation) & (contrast > MIN_CONTRAST_SIGMAS * np.sqrt(noise.variance(white.astype(np.float32))))
     if usable.sum() < MIN_PIXELS:
         return Finding(quantity, None, None, "", "too few pixels between black and saturation")
+    usable[np.unravel_index(_surplus(usable), usable.shape)] = False
     steps = max(layout.periods, key=lambda period: period.period_px).images
     relative = np.clip(np.stack([(mean((i,)) - black)[usable] / contrast[usable] for i in steps]), 0.0, None)
 
@@ -73,3 +76,9 @@ def gamma_finding(
     spread = 1.4826 * float(np.median(np.abs(shares - np.median(shares)))) * np.sqrt(np.pi / 2 / shares.size)
     sigma = spread / abs(slope) / exponent**2
     return Finding(quantity, 1 / exponent, float(sigma), "", "fringes between black and white")
+
+
+def _surplus(usable: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return which usable pixels are more than enough, evenly spread."""
+    places = np.flatnonzero(usable)
+    return np.delete(places, np.s_[:: max(1, len(places) // ENOUGH_PIXELS)])

@@ -30,9 +30,9 @@ LOCAL_SIGMAS = 5.0
 #: Side of the windows [blocks] that are looked at one by one, and of the tiles in them that have to agree.
 WINDOW_BLOCKS, TILE_BLOCKS = 8, 4
 #: Image pixels that are looked at, in bands of whole windows: enough for 0.02 px on grain of 0.5 % contrast.
-SAMPLED_PX = 300_000
+SAMPLED_PX = 200_000
 #: The fit residual is a second witness only.
-DRIFT_PX = 90_000
+DRIFT_PX = 60_000
 #: Bins of the phase for what repeats with it.
 PHASE_BINS = 48
 #: Contrast of the patterns, in standard deviations of a grey value, that shows that a pixel is lit.

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from planish.errors import InputError
 from planish.measurement import rejection_bit
 from planish.sensing.decode import DecodeOptions, PhaseMap
@@ -32,14 +34,16 @@ def slip_share(phase: PhaseMap) -> float:
 
     A wrong sequence makes differences of any size: those of less than a slip look like inter-reflection.
     """
-    shown = (phase.rejected & (rejection_bit("dark") | rejection_bit("saturated") | rejection_bit("masked"))) == 0
-    if shown.mean() <= MIN_LIT_SHARE:
+    unlit = rejection_bit("dark") | rejection_bit("saturated") | rejection_bit("masked")
+    slip, other = rejection_bit("slip"), rejection_bit("interreflection")
+    shown = phase.rejected.size - np.count_nonzero(phase.rejected & unlit)
+    if shown <= MIN_LIT_SHARE * phase.rejected.size:
         return 0.0
-    reasons = phase.rejected[shown]
-    slips = float(((reasons & rejection_bit("slip")) != 0).mean())
+    slips = np.count_nonzero((phase.rejected & (unlit | slip)) == slip) / shown
     if slips < MIN_SLIP_SHARE:
         return slips
-    return float(((reasons & (rejection_bit("slip") | rejection_bit("interreflection"))) != 0).mean())
+    reasons = phase.rejected & (unlit | slip | other)
+    return (np.count_nonzero(reasons) - np.count_nonzero(reasons & unlit)) / shown
 
 
 def worst_share(seen: Mapping[str, Observation]) -> float:

@@ -67,6 +67,16 @@ class PhaseMap:
     rejected: NDArray[np.uint16] = field(metadata={"unit": "bit mask of REJECTIONS"})
     local_mean_gain: float = 1.0
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(H, W) of the pixel grid."""
+        return (self.position_px.shape[0], self.position_px.shape[1])
+
+    def at(self, pixels: NDArray[np.intp]) -> PhaseMap:
+        """Return the map of some pixels: flat indices of any shape (h, w)."""
+        position, sigma = (m.ravel()[pixels] for m in (self.position_px, self.sigma_px))
+        return replace(self, position_px=position, sigma_px=sigma, rejected=self.rejected.ravel()[pixels])
+
     def without(self, pixels: NDArray[np.bool_], reason: str) -> PhaseMap:
         """Return the map with `pixels` (H, W) rejected for a reason of measurement.REJECTIONS."""
         bit = rejection_bit(reason)
