@@ -6,7 +6,10 @@ import sys
 import time
 from importlib.metadata import version
 
+import typer
+
 from command_line import planish
+from planish.cli import make_app
 
 #: Long enough for the command to have begun its work, on a busy machine too.
 BEGUN_SECONDS = 4.0
@@ -40,3 +43,10 @@ def test_an_interrupt_ends_with_130_and_words(tmp_path):
     assert process.returncode == 130
     assert "interrupted" in err
     assert "Traceback" not in err
+
+
+def test_no_help_text_has_brackets_which_the_console_would_swallow():
+    app = typer.main.get_command(make_app())
+    texts = [(name, p.name, getattr(p, "help", None)) for name, c in app.commands.items() for p in c.params]
+    assert len(texts) > 50
+    assert [text for text in texts if "[" in (text[2] or "")] == []

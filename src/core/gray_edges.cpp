@@ -157,7 +157,7 @@ class Decoder {
         return {static_cast<float>(u) + f, variance, boundary, chain};
     }
 
-    /// Noise may cross an edge to and fro: an odd number of crossings is one edge at their mean, an even one is none.
+    /// Noise may cross an edge again and again: an odd number of crossings is one edge at their mean, an even one none.
     static void merge_repeated(std::vector<Edge>& edges) {
         std::size_t kept = 0;
         for (std::size_t i = 0; i < edges.size();) {

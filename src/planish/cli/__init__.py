@@ -31,7 +31,7 @@ def make_app() -> typer.Typer:
         invoke_without_command=True,
         add_completion=False,
         pretty_exceptions_enable=False,
-        help="Register fringe-projection measurements by their surface texture.",
+        help="Measure by fringe projection; register the measurements by their surface texture.",
     )
     app.callback()(_common)
     for command in COMMANDS:

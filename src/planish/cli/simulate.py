@@ -43,7 +43,7 @@ def simulate(
         str, typer.Option(help=f"{', '.join(SEQUENCES)}, or a capture.json of `planish patterns`.")
     ] = "reference",
     axes: Annotated[str, typer.Option(help="Encoded projector axes: u, v or both.")] = "u",
-    exposures: Annotated[str | None, typer.Option(help="Exposure times [ms], with commas: all images at each.")] = None,
+    exposures: Annotated[str | None, typer.Option(help="Exposure times (ms), with commas: all images at each.")] = None,
     exposure: Annotated[
         float, typer.Option(help="Factor on the light of the longest exposure; above 1.4 white metal saturates.")
     ] = 1.0,

@@ -1,4 +1,4 @@
-"""Grey images of a capture: reading one, with errors that name the file, and all of them while others are decoded."""
+"""Grey images of a capture: reading one, with errors that name the file."""
 
 from __future__ import annotations
 
