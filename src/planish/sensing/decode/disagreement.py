@@ -32,9 +32,9 @@ CLIP_SIGMAS = 3.0
 MEDIAN_CHI_SQUARE = 0.4549
 #: A shift whose root mean square is a smaller share of the noise is none: 2 % more of it at most, and time.
 NEGLIGIBLE = 0.2
-#: A shift of nearly half the finer period could be one the other way round; a wrong sign or period looks like that,
-#: and must not be explained away (three steps, gamma 2.2 and a ratio of 8: 0.36).
-LARGEST = 0.4
+#: Harmonics shift smoothly. A shift that jumps by more of the finer period from bin to bin is that of a wrong sign or
+#: period, and must not be explained away.
+LARGEST_JUMP = 0.5
 NOTHING: Map = np.empty((0, 0), np.float32)
 
 
@@ -111,7 +111,7 @@ def _explained(difference: Map, folded: Map, period: float, negligible: float) -
         kept = (np.abs(rest) <= CLIP_SIGMAS * 1.4826 * np.median(np.abs(rest))).astype(float)
         count = np.bincount(bins, kept, BINS)
         mean += (np.bincount(bins, kept * rest, BINS) / np.maximum(count, 1)).astype(np.float32)
-    if np.sqrt(np.mean(mean**2)) < negligible or np.abs(mean).max() > LARGEST * period:
+    if np.sqrt(np.mean(mean**2)) < negligible or np.abs(np.diff(mean, append=mean[:1])).max() > LARGEST_JUMP * period:
         return [], _wrapped(difference, period)
     shift = np.interp(turns, (np.arange(BINS) + 0.5) / BINS, mean, period=1).astype(np.float32)
     return mean.tolist(), _wrapped(difference - shift, period)
