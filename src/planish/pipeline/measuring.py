@@ -92,7 +92,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         capture.manifest, str(capture.path), None if rig.projector is None else rig.projector.size_px
     )
     seen = _observe(capture, rig, cameras, options, threads)
-    seen = _straighten(seen, layouts[0], threads)
+    seen = _straighten(seen, layouts[0], options.reject, threads)
     located = _locate(seen, rig, layouts[0], capture.manifest.volume_mm, options, str(capture.path), threads)
     rejected = reject_points(
         located.points,
@@ -124,10 +124,18 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
     )
 
 
-def _straighten(seen: Mapping[str, Observation], layout: Layout, threads: int) -> Mapping[str, Observation]:
+def _straighten(
+    seen: Mapping[str, Observation], layout: Layout, options: RejectOptions, threads: int
+) -> Mapping[str, Observation]:
+    own = max(1, threads // len(seen))
+
+    def straight(name: str) -> Observation:
+        # Ripples of the fringes' wave form look like jumps: only then are edges looked for.
+        cut = partial(reject_edges, options=options, threads=own)
+        return with_phases(straighten(seen[name], layout.codes, name), cut)
+
     with ThreadPoolExecutor(threads) as pool:
-        found = pool.map(lambda name: straighten(seen[name], layout.codes, name), seen)
-        return dict(zip(seen, found, strict=True))
+        return dict(zip(seen, pool.map(straight, seen), strict=True))
 
 
 def _locate(
@@ -181,8 +189,7 @@ def _observe(
         if mask is not None:
             _require_size(mask, f"{capture.path}: mask.{name}", name, rig.cameras[name].size_px)
             seen[name] = seen[name].without(~mask)
-    cut = partial(reject_edges, options=options.reject, threads=threads)
-    return {name: with_phases(item, cut) for name, item in seen.items()}
+    return seen
 
 
 def _observe_exposure(
