@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from planish.errors import InputError
-from planish.measurement import rejection_bit
+from planish.measurement import View, rejection_bit
 from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.decode.gray import Contradiction
 from planish.sensing.images import GreyImage
@@ -23,32 +23,38 @@ MIN_SLIP_SHARE = 0.1
 MIN_LIT_SHARE = 0.01
 #: A change of the sequence explains the slips where it leaves less than this share of them.
 EXPLAINED = 0.3
+#: Every so many rows and columns are counted.
+COUNTED_EVERY = 4
 #: Shorter periods no projector shows.
 MIN_PERIOD_PX = 2.0
 #: Every so many rows and columns serve to try it.
 SAMPLE_STRIDE = 3
 
 
-def slip_share(phase: PhaseMap) -> float:
-    """Return the share of contradictions among the pixels that show fringes; 0 where next to none do.
+def slip_share(phase: PhaseMap, view: View, code: AxisCode) -> float:
+    """Return the share of contradictions among the pixels whose fringes are clear enough; 0 where next to none are.
 
     A wrong sequence makes differences of any size: those of less than a slip look like inter-reflection.
     """
+    every = np.s_[::COUNTED_EVERY, ::COUNTED_EVERY]
+    reasons = phase.rejected[every]
     unlit = rejection_bit("dark") | rejection_bit("saturated") | rejection_bit("masked")
     slip, other = rejection_bit("slip"), rejection_bit("interreflection")
-    shown = phase.rejected.size - np.count_nonzero(phase.rejected & unlit)
-    if shown <= MIN_LIT_SHARE * phase.rejected.size:
+    shown = (reasons & unlit) == 0
+    if code.ladder is not None and view.mean is not None and view.modulation is not None:
+        # Where noise alone makes slips, they contradict nothing.
+        noise = np.sqrt(view.noise.variance(view.mean[every]))
+        shown &= noise < code.ladder.noise_limit * view.modulation[every]
+    if shown.mean() <= MIN_LIT_SHARE:
         return 0.0
-    slips = np.count_nonzero((phase.rejected & (unlit | slip)) == slip) / shown
-    if slips < MIN_SLIP_SHARE:
-        return slips
-    reasons = phase.rejected & (unlit | slip | other)
-    return (np.count_nonzero(reasons) - np.count_nonzero(reasons & unlit)) / shown
+    slips = float(((reasons[shown] & slip) != 0).mean())
+    return slips if slips < MIN_SLIP_SHARE else float(((reasons[shown] & (slip | other)) != 0).mean())
 
 
-def worst_share(seen: Mapping[str, Observation]) -> float:
+def worst_share(seen: Mapping[str, Observation], layout: Layout) -> float:
     """Return the largest share of slips of all cameras and axes."""
-    return max((slip_share(p) for item in seen.values() for p in item.phases.values()), default=0.0)
+    codes = {code.axis: code for code in layout.codes}
+    return max((slip_share(p, o.view, codes[a]) for o in seen.values() for a, p in o.phases.items()), default=0.0)
 
 
 def observe_consistent(
@@ -71,7 +77,7 @@ def observe_consistent(
     """
     try:
         seen = observe(take, cameras, layout, options, subject, threads)
-        share = worst_share(seen)
+        share = worst_share(seen, layout)
     except Contradiction:
         seen, share = {}, 1.0
     if share <= MAX_SLIP_SHARE:
@@ -99,7 +105,7 @@ def explain(
             seen = observe(few.__getitem__, list(few), changed, options, subject, threads)
         except InputError:
             continue
-        left = worst_share(seen)
+        left = worst_share(seen, changed)
         if left < best:
             best, said = left, words
     return said
