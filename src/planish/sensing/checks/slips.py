@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from planish.errors import InputError
 from planish.measurement import rejection_bit
+from planish.sensing.checks.direction import backward_share
 from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.decode.gray import Contradiction
 from planish.sensing.images import GreyImage
@@ -42,9 +43,15 @@ def slip_share(phase: PhaseMap) -> float:
     return float(((reasons & (rejection_bit("slip") | rejection_bit("interreflection"))) != 0).mean())
 
 
-def worst_share(seen: Mapping[str, Observation]) -> float:
-    """Return the largest share of slips of all cameras and axes."""
-    return max((slip_share(p) for item in seen.values() for p in item.phases.values()), default=0.0)
+def worst_share(seen: Mapping[str, Observation], layout: Layout) -> float:
+    """Return the largest share of slips, or of positions that run to and fro, of all cameras and axes."""
+    shares = [0.0]
+    for item in seen.values():
+        shares += [slip_share(phase) for phase in item.phases.values()]
+        # Periods that are absolute by themselves contradict each other.
+        counted = [code for code in layout.codes if code.gray is not None and len(code.periods) == 1]
+        shares += [backward_share(item.phases[code.axis], code.periods[0].period_px) for code in counted]
+    return max(shares)
 
 
 def observe_consistent(
@@ -67,7 +74,7 @@ def observe_consistent(
     """
     try:
         seen = observe(take, cameras, layout, options, subject, threads)
-        share = worst_share(seen)
+        share = worst_share(seen, layout)
     except Contradiction:
         seen, share = {}, 1.0
     if share <= MAX_SLIP_SHARE:
@@ -95,7 +102,7 @@ def explain(
             seen = observe(few.__getitem__, list(few), changed, options, subject, threads)
         except InputError:
             continue
-        left = worst_share(seen)
+        left = worst_share(seen, changed)
         if left < best:
             best, said = left, words
     return said

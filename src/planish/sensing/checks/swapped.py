@@ -20,6 +20,9 @@ from planish.sensing.locate import Located
 from planish.sensing.observe import Observation
 from planish.sensing.triangulate import triangulate
 
+#: Where a smaller share of the tiles tells, the other way round is tried; it has to be told by that many more.
+FEW_TILES = 0.5
+
 
 @dataclass(frozen=True)
 class RigEvidence:
@@ -31,8 +34,18 @@ class RigEvidence:
 
     @property
     def doubtful(self) -> bool:
-        """Whether anything contradicts, or nothing confirms."""
-        return self.contradicted or not self.confirmed
+        """Whether anything contradicts, nothing confirms, or only few tiles do: chance, or what is left of patterns."""
+        few = self.ray is None and self.tiles < FEW_TILES * self.rows.searched
+        return self.contradicted or not self.confirmed or few
+
+    @property
+    def tiles(self) -> int:
+        """Number of tiles that tell."""
+        return len(self.rows.value_px)
+
+    def better_than(self, other: RigEvidence) -> bool:
+        """Whether this confirms the rig, and where `other` seems to, by far more tiles."""
+        return self.confirmed and (not other.confirmed or FEW_TILES * self.tiles > other.tiles)
 
     @property
     def contradicted(self) -> bool:
@@ -75,7 +88,8 @@ def check_rig(
     """
     names = (own, next(name for name in seen if name != own))
     evidence = _evidence(seen, located, rig, names, threads)
-    if evidence.doubtful and _fits_exchanged(seen, located, rig, names, threads, locate):
+    exchanged = _exchanged(seen, located, rig, names, threads, locate) if evidence.doubtful else None
+    if exchanged is not None and exchanged.better_than(evidence):
         raise InputError(
             subject,
             f"the images of {names[0]} and {names[1]} are exchanged: only the other way round do they fit the rig",
@@ -107,15 +121,15 @@ def _evidence(
     return RigEvidence(rows, source, ray)
 
 
-def _fits_exchanged(
+def _exchanged(
     seen: Mapping[str, Observation], located: Located, rig: Rig, names: tuple[str, str], threads: int,
     locate: Callable[[Mapping[str, Observation]], Located] | None,
-) -> bool:  # fmt: skip
-    """Return whether the rig is confirmed with the cameras' images exchanged, by the points at the tiles alone."""
+) -> RigEvidence | None:  # fmt: skip
+    """Return what speaks for or against the cameras' images exchanged, by the points at the tiles alone."""
     own, other = names
     axis = located.phase.axis
     if rig.cameras[own].size_px != rig.cameras[other].size_px:
-        return False
+        return None
     exchanged = {own: seen[other], other: seen[own]}
     height, width = located.phase.position_px.shape
     away = _away_from_tiles(height, width)
@@ -126,8 +140,8 @@ def _fits_exchanged(
     elif locate is not None:
         found = locate({**exchanged, own: exchanged[own].without(away)})
     else:
-        return False
-    return _evidence(exchanged, found, rig, names, threads).confirmed
+        return None
+    return _evidence(exchanged, found, rig, names, threads)
 
 
 def _away_from_tiles(height: int, width: int) -> NDArray[np.bool_]:
