@@ -1,4 +1,4 @@
-"""Whether the fringes run the way the Gray code says: a wrong sign beside half-period cells contradicts nothing else."""
+"""Whether fringes run the way the Gray code says: beside half-period cells nothing else contradicts a wrong sign."""
 
 from __future__ import annotations
 
