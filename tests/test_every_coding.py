@@ -20,7 +20,9 @@ EDGES_PX, ROUNDED_EDGES_PX = 0.06, 2e-3
 #: What interpolation between the pixels leaves of statistical patterns (as in test_correlate) [px].
 INTERPOLATION_PX = 1e-2
 SHAPE = (20, 200)
-#: Images of a hole: pixels around it that the repair of slips, the search for inter-reflection and edges look at [px].
+#: Noise is measured in all pixels: what a hole takes away changes the weights of averaged periods a little [sigma].
+WITHOUT_HOLE_SIGMAS = 0.06
+#: Pixels around it that the repair of slips, the search for inter-reflection and edges look at [px].
 NEAR_HOLE_PX = 4
 
 SIGNS = st.sampled_from([1, -1])
@@ -31,13 +33,14 @@ OPTIONS = {
         "period_px": st.floats(8, 60), "steps": st.integers(3, 9), "ratio": st.floats(3, 10), "sign": SIGNS,
     },
     "heterodyne": {"count": st.sampled_from([2, 3]), "steps": st.integers(3, 9), "sign": SIGNS},
+    # A projector shows borders of cells at whole pixels: alone, without a complementary bit, they must be periods' too.
     "gray-phase": {
-        "period_px": st.floats(8, 60), "steps": st.integers(3, 9), "complementary": st.booleans(),
+        "period_px": st.integers(12, 60).map(float), "steps": st.integers(3, 9), "complementary": st.booleans(),
         "inverses": st.booleans(), "sign": SIGNS,
     },
     "gray": {"cell_px": st.sampled_from([1.0, 2.0, 3.0, 8.0]), "inverses": st.booleans()},
     "square": {"period_px": st.sampled_from([12.0, 18.0, 24.0]), "steps": st.sampled_from([4, 6, 8, 12]),
-               "complementary": st.booleans(), "inverses": st.booleans(), "sign": SIGNS},
+               "inverses": st.booleans(), "sign": SIGNS},
 }  # fmt: skip
 POSITIONAL = sorted(OPTIONS)
 
@@ -98,7 +101,7 @@ def test_every_sequence_is_tried_here():
 
 
 @pytest.mark.parametrize("name", POSITIONAL)
-@settings(max_examples=8)
+@settings(max_examples=6)
 @given(data=st.data())
 def test_decoding_undoes_encoding_with_any_options(name, data):
     axis, seed = data.draw(st.sampled_from("uv")), data.draw(st.integers(0, 1000))
@@ -113,7 +116,7 @@ def test_decoding_undoes_encoding_with_any_options(name, data):
 
 
 @pytest.mark.parametrize("name", POSITIONAL)
-@settings(max_examples=4)
+@settings(max_examples=3)
 @given(gain=st.floats(0.3, 1.1), offset=st.floats(2.0, 60.0), seed=st.integers(0, 1000))
 def test_brightness_and_offset_change_nothing_beyond_rounding(name, gain, offset, seed):
     plan, positions = plan_of(name), ramp(seed, 1280)
@@ -151,7 +154,8 @@ def test_a_dark_hole_changes_nothing_beside_its_rim(name):
     far = np.ones(SHAPE, bool)
     far[8 - NEAR_HOLE_PX : 12 + NEAR_HOLE_PX, 90 - NEAR_HOLE_PX : 100 + NEAR_HOLE_PX] = False
     assert np.array_equal(found.rejected[far], again.rejected[far])
-    assert np.nanmax(np.abs(found.position_px - again.position_px)[far]) <= SINGLE_PX
+    change = np.abs(found.position_px - again.position_px) / found.sigma_px
+    assert np.nanmax(change[far]) < WITHOUT_HOLE_SIGMAS
 
 
 @settings(max_examples=3)
