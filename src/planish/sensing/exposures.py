@@ -27,6 +27,8 @@ AGREEMENT_SIGMAS = 5.0
 SATURATION_SIGMAS = 4.0
 #: Pixels that two exposures must share for their scales to be compared; amplitudes below this share do not count.
 MIN_SHARED, MIN_MODULATION = 400, 0.1
+#: Exposures have something in common where their differences scatter less by so many standard deviations.
+CHANCE_SIGMAS = 3.0
 #: Bins of grey level to which the noise of the merged texture is fitted.
 LEVELS = 32
 #: Every so many rows and columns tell the scales of the exposures and the noise of the merged texture.
@@ -143,7 +145,9 @@ def _independent_share(scatter: Map) -> float:
     """Return the share of the variance that differs between exposures, from their normalised differences (n,)."""
     if scatter.size < MIN_SHARED:
         return 1.0
-    return min(1.0, float(1.4826 * np.median(np.abs(scatter))) ** 2)
+    share = float(1.4826 * np.median(np.abs(scatter))) ** 2
+    # The squared median of n absolute deviations has the relative standard deviation 2.33 / sqrt(n).
+    return share if share < 1 - CHANCE_SIGMAS * 2.33 / scatter.size**0.5 else 1.0
 
 
 def _furthest(rejected: Sequence[NDArray[np.uint16]]) -> NDArray[np.uint16]:
