@@ -17,8 +17,8 @@ from sequences import blurred, manifest, plane_points, render, small_rig
 ROUNDING, SINGLE_PX = 1e-5, 3e-4
 #: Two edges of a Gray code, blurred by the lens (as in test_gray_edges); other light rounds them otherwise [px].
 EDGES_PX, ROUNDED_EDGES_PX = 0.06, 2e-3
-#: What interpolation between the pixels leaves of statistical patterns (as in test_correlate) [px].
-INTERPOLATION_PX = 1e-2
+#: What interpolation between the pixels leaves of statistical patterns (twice that of test_correlate: any seed) [px].
+INTERPOLATION_PX = 2e-2
 SHAPE = (20, 200)
 #: Noise is measured in all pixels: what a hole takes away changes the weights of averaged periods a little [sigma].
 WITHOUT_HOLE_SIGMAS = 0.06
