@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from planish.geometry import compose, exp_so3, invert
 from planish.rig import Camera, Rig
@@ -11,6 +12,8 @@ from planish.sensing.patterns import encode
 
 PROJECTOR_PX = (320, 200)
 SIZE_PX = (200, 150)
+#: The lens of a test camera: standard deviation of its blur, to which a pixel's own width comes [px].
+BLUR_PX = 0.6
 DISTORTION = (-0.12, 0.09, 1e-3, -5e-4)
 
 
@@ -72,5 +75,20 @@ def render(entries, positions, *, offset=40.0, amplitude=160.0, noise=None, bits
         grey = offset + amplitude * encode(entry, positions)
         if noise is not None:
             grey = grey + rng.standard_normal(grey.shape) * np.sqrt(noise[0] + noise[1] * grey)
+        images.append(np.clip(np.round(grey * scale), 0, 255 * scale).astype(np.uint8 if bits == 8 else np.uint16))
+    return images
+
+
+def blurred(entries, positions, noise=None, seed=0, bits=8, offset=40.0, amplitude=160.0):
+    """Images of a blurring camera whose pixel (v, u) looks at positions[v, u]."""
+    rng, scale = np.random.default_rng(seed), 1 if bits == 8 else 256
+    slope = np.abs(np.diff(positions[0])).min()
+    fine = np.arange(positions.min() - 10, positions.max() + 10, 0.004)
+    images = []
+    for entry in entries:
+        shown = uniform_filter1d(gaussian_filter1d(encode(entry, fine), BLUR_PX * slope / 0.004), round(slope / 0.004))
+        grey = offset + amplitude * np.interp(positions, fine, shown)
+        if noise is not None:
+            grey = grey + rng.standard_normal(grey.shape) * np.sqrt(noise.offset + noise.slope * grey)
         images.append(np.clip(np.round(grey * scale), 0, 255 * scale).astype(np.uint8 if bits == 8 else np.uint16))
     return images

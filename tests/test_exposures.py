@@ -47,6 +47,16 @@ def test_positions_that_agree_are_averaged_and_sigma_says_how_well(truth):
     assert normalised.std() == pytest.approx(1, abs=STATISTICAL)
 
 
+def test_what_all_exposures_have_in_common_does_not_average_out(truth):
+    rng = np.random.default_rng(8)
+    common = 0.03 * rng.standard_normal(truth.shape)
+    each = [positions(rng, 0.04, truth + common) for _ in range(2)]
+    merged = merge_positions([replace(m, sigma_px=np.full_like(m.sigma_px, 0.05)) for m in each])
+    # Of 0.05 px, 0.04 are independent: sqrt(0.04^2 / 2 + 0.03^2) are left; some thousand differences tell the share.
+    assert np.median(merged.sigma_px) == pytest.approx(0.0412, rel=0.03)
+    assert np.std(merged.position_px - truth) == pytest.approx(np.median(merged.sigma_px), rel=0.04)
+
+
 def test_a_wrong_whole_period_of_the_worse_exposure_changes_nothing(truth):
     rng = np.random.default_rng(2)
     good, bad = positions(rng, 0.03, truth), positions(rng, 0.1, truth + 20)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from planish import _core
 from planish.errors import InputError
@@ -10,13 +9,10 @@ from planish.measurement import REJECTIONS, NoiseModel
 from planish.sensing.decode import DecodeOptions
 from planish.sensing.decode.gray_edges import local_mean_gain
 from planish.sensing.observe import observe
-from planish.sensing.patterns import encode
 from planish.sensing.sequence import read_layouts
 from reference import sensing as reference
-from sequences import gray_entries, manifest
+from sequences import blurred, gray_entries, manifest
 
-#: The lens of a test camera: standard deviation of its blur, to which a pixel's own width comes [px].
-BLUR_PX = 0.6
 #: Rounding of two grey values of 160, divided by the slope of an edge (0.6 per px), two edges; and its lean [px].
 EDGE_PX = 0.03
 NOISE = NoiseModel(1.5, 0.02)
@@ -25,21 +21,6 @@ NOISE = NoiseModel(1.5, 0.02)
 def ramp(shape=(60, 400), px_per_pixel=0.8, start=3.3):
     """Positions along the row; the rows are shifted against each other."""
     return start + px_per_pixel * np.arange(shape[1])[None, :] + np.linspace(0, 1.9, shape[0])[:, None]
-
-
-def blurred(entries, positions, noise=None, seed=0):
-    """Images of a blurring camera whose pixel (v, u) looks at positions[v, u]."""
-    rng = np.random.default_rng(seed)
-    slope = np.abs(np.diff(positions[0])).min()
-    fine = np.arange(positions.min() - 10, positions.max() + 10, 0.004)
-    images = []
-    for entry in entries:
-        shown = uniform_filter1d(gaussian_filter1d(encode(entry, fine), BLUR_PX * slope / 0.004), round(slope / 0.004))
-        grey = 40 + 160 * np.interp(positions, fine, shown)
-        if noise is not None:
-            grey = grey + rng.standard_normal(grey.shape) * np.sqrt(noise.offset + noise.slope * grey)
-        images.append(np.clip(np.round(grey), 0, 255).astype(np.uint8))
-    return images
 
 
 def decoded(plan, images):

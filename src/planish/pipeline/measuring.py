@@ -148,8 +148,12 @@ def _locate(
     threads: int,
 ) -> Located:
     if layout.statistical:
-        located = locate_by_correlation(seen, rig, options.organise_on, volume, options.correlate, subject, threads)
-        return replace(located, findings=check_rig(seen, located, rig, options.organise_on, subject, threads))
+
+        def locate(item: Mapping[str, Observation]) -> Located:
+            return locate_by_correlation(item, rig, options.organise_on, volume, options.correlate, subject, threads)
+
+        located = locate(seen)
+        return replace(located, findings=check_rig(seen, located, rig, options.organise_on, subject, threads, locate))
     own, camera, projector = options.organise_on, rig.cameras[options.organise_on], rig.projector
     phases = {name: item.phases for name, item in seen.items()}
     if len(seen) == 1:

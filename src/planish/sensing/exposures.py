@@ -27,6 +27,8 @@ AGREEMENT_SIGMAS = 5.0
 SATURATION_SIGMAS = 4.0
 #: Pixels that two exposures must share for their scales to be compared; amplitudes below this share do not count.
 MIN_SHARED, MIN_MODULATION = 400, 0.1
+#: Exposures have something in common where their differences scatter less by so many standard deviations.
+CHANCE_SIGMAS = 3.0
 #: Bins of grey level to which the noise of the merged texture is fitted.
 LEVELS = 32
 #: Every so many rows and columns tell the scales of the exposures and the noise of the merged texture.
@@ -101,29 +103,51 @@ def merge_exposures(observations: Sequence[Observation], exposures_ms: Sequence[
 
 
 def merge_positions(maps: Sequence[PhaseMap]) -> PhaseMap:
-    """Return the positions (H, W) of several exposures averaged by their variances where they agree."""
+    """Return the positions (H, W) of several exposures averaged by their variances where they agree.
+
+    Notes
+    -----
+    What is common to all exposures (edges of a Gray code that lean on each other) no mean makes smaller, and no
+    difference shows: where differences scatter less than the sigmas say, a share r of the variances is independent,
+    and s^2 = r / sum(1 / s_i^2) + (1 - r) (sum(1 / s_i) / sum(1 / s_i^2))^2.
+    """
     valid = [(m.rejected == 0) & np.isfinite(m.position_px) for m in maps]
     sigma = np.stack([np.where(ok, m.sigma_px, np.float32(np.inf)) for m, ok in zip(maps, valid, strict=True)])
     best = np.argmin(sigma, axis=0)[None]
     start = np.take_along_axis(np.stack([m.position_px for m in maps]), best, 0)[0]
     least = np.take_along_axis(sigma, best, 0)[0]
-    weight, shift = np.zeros_like(start), np.zeros_like(start)
-    for m, ok in zip(maps, valid, strict=True):
+    weight, shift, alike = np.zeros_like(start), np.zeros_like(start), np.zeros_like(start)
+    scatter: list[Map] = []
+    for k, (m, ok) in enumerate(zip(maps, valid, strict=True)):
         with np.errstate(invalid="ignore"):
             difference = m.position_px - start
+            other = (ok & (best[0] != k))[::STRIDE, ::STRIDE]
+            scatter.append((difference / np.hypot(m.sigma_px, least))[::STRIDE, ::STRIDE][other])
             agrees = ok & (np.abs(difference) <= AGREEMENT_SIGMAS * np.hypot(m.sigma_px, least))
         own = np.where(agrees, 1 / np.square(np.where(agrees, m.sigma_px, 1)), np.float32(0))
         weight += own
+        alike += np.sqrt(own)
         shift += np.where(agrees, own * difference, np.float32(0))
     found = weight > 0
     total = np.where(found, weight, np.float32(1))
+    share = np.float32(_independent_share(np.concatenate(scatter)))
+    variance = share / total + (1 - share) * np.square(alike / total)
     nothing = np.float32(np.nan)
     return replace(
         maps[0],
         position_px=np.where(found, start + shift / total, nothing),
-        sigma_px=np.where(found, 1 / np.sqrt(total), nothing),
+        sigma_px=np.where(found, np.sqrt(variance), nothing),
         rejected=np.where(found, np.uint16(0), _furthest([m.rejected for m in maps])),
     )
+
+
+def _independent_share(scatter: Map) -> float:
+    """Return the share of the variance that differs between exposures, from their normalised differences (n,)."""
+    if scatter.size < MIN_SHARED:
+        return 1.0
+    share = float(1.4826 * np.median(np.abs(scatter))) ** 2
+    # The squared median of n absolute deviations has the relative standard deviation 2.33 / sqrt(n).
+    return share if share < 1 - CHANCE_SIGMAS * 2.33 / scatter.size**0.5 else 1.0
 
 
 def _furthest(rejected: Sequence[NDArray[np.uint16]]) -> NDArray[np.uint16]:

@@ -231,7 +231,8 @@ def _noise_ratio(angle: Array, sigma: Array, error: WaveError) -> float:
 def _variation(normal: Array, right: Array, flat: Array, covariance: Array) -> float:
     """Standard deviation (root mean square of s_1 and c_1) between clusters, beyond their noise."""
     share = normal[:, 0, 0] / normal[:, 0, 0].sum()
-    use = share > 0.2 / len(share)
+    # Where all measured phases are alike, a cluster says nothing about one of the two.
+    use = (share > 0.2 / len(share)) & (np.linalg.cond(normal[:, :2, :2]) < MAX_CONDITION)
     if use.sum() < CLUSTERS:
         return 0.0
     rest = (right - normal @ flat)[use][:, :2]

@@ -9,6 +9,7 @@ import numpy as np
 
 from planish.errors import InputError
 from planish.measurement import View, rejection_bit
+from planish.sensing.checks.direction import backward_share
 from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.decode.gray import Contradiction
 from planish.sensing.images import GreyImage
@@ -52,9 +53,14 @@ def slip_share(phase: PhaseMap, view: View, code: AxisCode) -> float:
 
 
 def worst_share(seen: Mapping[str, Observation], layout: Layout) -> float:
-    """Return the largest share of slips of all cameras and axes."""
-    codes = {code.axis: code for code in layout.codes}
-    return max((slip_share(p, o.view, codes[a]) for o in seen.values() for a, p in o.phases.items()), default=0.0)
+    """Return the largest share of slips, or of positions that run to and fro, of all cameras and axes."""
+    codes, shares = {code.axis: code for code in layout.codes}, [0.0]
+    for item in seen.values():
+        shares += [slip_share(phase, item.view, codes[axis]) for axis, phase in item.phases.items()]
+        # Periods that are absolute by themselves contradict each other.
+        counted = [code for code in layout.codes if code.gray is not None and len(code.periods) == 1]
+        shares += [backward_share(item.phases[code.axis], code.periods[0].period_px) for code in counted]
+    return max(shares)
 
 
 def observe_consistent(

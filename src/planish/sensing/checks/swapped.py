@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.errors import InputError
 from planish.measurement import Finding
@@ -14,11 +15,13 @@ from planish.sensing.checks.rig import check_projector_ray, describe_row_error, 
 from planish.sensing.checks.texture_rows import row_error_of_textures
 from planish.sensing.checks.tiles import TILE_PX, TILES, RowError, choose_tiles
 from planish.sensing.correspond import correspond
-from planish.sensing.decode import PhaseMap
 from planish.sensing.entries import Axis
 from planish.sensing.locate import Located
 from planish.sensing.observe import Observation
 from planish.sensing.triangulate import triangulate
+
+#: Where a smaller share of the tiles tells, the other way round is tried; it has to be told by that many more.
+FEW_TILES = 0.5
 
 
 @dataclass(frozen=True)
@@ -31,8 +34,18 @@ class RigEvidence:
 
     @property
     def doubtful(self) -> bool:
-        """Whether anything contradicts, or nothing confirms."""
-        return self.contradicted or not self.confirmed
+        """Whether anything contradicts, nothing confirms, or only few tiles do: chance, or what is left of patterns."""
+        few = self.ray is None and self.tiles < FEW_TILES * self.rows.searched
+        return self.contradicted or not self.confirmed or few
+
+    @property
+    def tiles(self) -> int:
+        """Number of tiles that tell."""
+        return len(self.rows.value_px)
+
+    def better_than(self, other: RigEvidence) -> bool:
+        """Whether this confirms the rig, and where `other` seems to, by far more tiles."""
+        return self.confirmed and (not other.confirmed or FEW_TILES * self.tiles > other.tiles)
 
     @property
     def contradicted(self) -> bool:
@@ -46,8 +59,9 @@ class RigEvidence:
 
 
 def check_rig(
-    seen: Mapping[str, Observation], located: Located, rig: Rig, own: str, subject: str, threads: int
-) -> tuple[Finding, ...]:
+    seen: Mapping[str, Observation], located: Located, rig: Rig, own: str, subject: str, threads: int,
+    locate: Callable[[Mapping[str, Observation]], Located] | None = None,
+) -> tuple[Finding, ...]:  # fmt: skip
     """Return the row error of a measurement by two cameras and, with a calibrated projector, the miss of its ray.
 
     Parameters
@@ -64,6 +78,8 @@ def check_rig(
         Named in errors.
     threads : int
         Number of threads.
+    locate : callable, optional
+        Finds the points of observations without positions, as `located` was found: by statistical patterns.
 
     Raises
     ------
@@ -72,7 +88,8 @@ def check_rig(
     """
     names = (own, next(name for name in seen if name != own))
     evidence = _evidence(seen, located, rig, names, threads)
-    if evidence.doubtful and _fits_exchanged(seen, located, rig, names, threads):
+    exchanged = _exchanged(seen, located, rig, names, threads, locate) if evidence.doubtful else None
+    if exchanged is not None and exchanged.better_than(evidence):
         raise InputError(
             subject,
             f"the images of {names[0]} and {names[1]} are exchanged: only the other way round do they fit the rig",
@@ -104,25 +121,32 @@ def _evidence(
     return RigEvidence(rows, source, ray)
 
 
-def _fits_exchanged(
-    seen: Mapping[str, Observation], located: Located, rig: Rig, names: tuple[str, str], threads: int
-) -> bool:
-    """Return whether the rig is confirmed with the cameras' images exchanged."""
+def _exchanged(
+    seen: Mapping[str, Observation], located: Located, rig: Rig, names: tuple[str, str], threads: int,
+    locate: Callable[[Mapping[str, Observation]], Located] | None,
+) -> RigEvidence | None:  # fmt: skip
+    """Return what speaks for or against the cameras' images exchanged, by the points at the tiles alone."""
     own, other = names
     axis = located.phase.axis
-    if rig.cameras[own].size_px != rig.cameras[other].size_px or axis not in seen[other].phases:
-        return False
+    if rig.cameras[own].size_px != rig.cameras[other].size_px:
+        return None
     exchanged = {own: seen[other], other: seen[own]}
-    few = _thinned(exchanged[own].phases[axis])
-    pairs = correspond(few, exchanged[other].phases[axis], rig.cameras[own], rig.cameras[other], threads)
-    found = triangulate(pairs, rig.cameras[own], rig.cameras[other], threads)
-    return _evidence(exchanged, Located(found, few, pairs.pixel_px, None), rig, names, threads).confirmed
+    height, width = located.phase.position_px.shape
+    away = _away_from_tiles(height, width)
+    if axis in seen[other].phases:
+        few = exchanged[own].phases[axis].without(away, "masked")
+        pairs = correspond(few, exchanged[other].phases[axis], rig.cameras[own], rig.cameras[other], threads)
+        found = Located(triangulate(pairs, rig.cameras[own], rig.cameras[other], threads), few, pairs.pixel_px, None)
+    elif locate is not None:
+        found = locate({**exchanged, own: exchanged[own].without(away)})
+    else:
+        return None
+    return _evidence(exchanged, found, rig, names, threads)
 
 
-def _thinned(phase: PhaseMap) -> PhaseMap:
-    """Return the positions at the tiles alone: the search takes a tenth of the time."""
-    height, width = phase.position_px.shape
-    keep = np.zeros((height, width), np.bool_)
+def _away_from_tiles(height: int, width: int) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) outside the rows of the tiles: without them the search takes a fraction of the time."""
+    away = np.ones((height, width), np.bool_)
     for v in np.linspace(0, height - TILE_PX, TILES[1] + 2)[1:-1].astype(int):
-        keep[v : v + TILE_PX] = True
-    return phase.without(~keep, "masked")
+        away[v : v + TILE_PX] = False
+    return away
