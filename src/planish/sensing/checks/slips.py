@@ -45,7 +45,8 @@ def slip_share(phase: PhaseMap, view: View, code: AxisCode) -> float:
     if code.ladder is not None and view.mean is not None and view.modulation is not None:
         # Where noise alone makes slips, they contradict nothing.
         noise = np.sqrt(view.noise.variance(view.mean[every]))
-        shown &= noise < code.ladder.noise_limit * view.modulation[every]
+        with np.errstate(divide="ignore"):
+            shown &= noise / view.modulation[every] < code.ladder.noise_limit
     if shown.mean() <= MIN_LIT_SHARE:
         return 0.0
     slips = float(((reasons[shown] & slip) != 0).mean())
