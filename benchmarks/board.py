@@ -13,10 +13,10 @@ import sys
 import numpy as np
 
 from planish.pipeline import measure
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.decode import PhaseMap
 from planish.sensing.decode.gray import gray_positions
-from planish.sensing.projector import intersect
-from planish.sensing.sequence import read_layouts
+from planish.sensing.points.projector import intersect
 from render_tables import ROOT, save_table
 
 sys.path.insert(0, str(ROOT / "tests" / "real"))

@@ -24,9 +24,9 @@ from planish.errors import InputError
 from planish.measurement import Measurement
 from planish.pipeline import measure
 from planish.rig import Rig
-from planish.sensing.capture import Capture
-from planish.sensing.entries import Entry
-from planish.sensing.patterns import named_sequence, with_exposures
+from planish.sensing.capture.manifest import Capture
+from planish.sensing.patterns.entries import Entry
+from planish.sensing.patterns.sequences import named_sequence, with_exposures
 from planish.simulation.highlights import with_highlights
 from planish.simulation.render import trace_capture
 from planish.simulation.scenes import Scene, make_scene

@@ -21,12 +21,12 @@ from typing import Any
 import numpy as np
 
 from planish.options import thread_count
-from planish.sensing.capture import Manifest
+from planish.sensing.capture.manifest import Manifest
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.decode import DecodeOptions, decode
-from planish.sensing.noise import estimate_noise
+from planish.sensing.noise.estimate import estimate_noise
 from planish.sensing.observe import observe
-from planish.sensing.patterns import REFERENCE_PERIODS_PX, REFERENCE_STEPS, encode, reference_sequence
-from planish.sensing.sequence import read_layouts
+from planish.sensing.patterns.sequences import REFERENCE_PERIODS_PX, REFERENCE_STEPS, encode, reference_sequence
 from render_tables import save_table
 
 HEIGHT, WIDTH = 1038, 1388

@@ -18,12 +18,12 @@ from statistics import median
 
 from planish.options import thread_count
 from planish.pipeline import MeasureOptions, measure
-from planish.sensing.capture import Capture, ImageReader
-from planish.sensing.correspond import correspond
+from planish.sensing.capture.manifest import Capture, ImageReader
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.observe import observe
-from planish.sensing.reject import reject_edges
-from planish.sensing.sequence import read_layouts
-from planish.sensing.triangulate import triangulate
+from planish.sensing.points.correspond import correspond
+from planish.sensing.points.reject import reject_edges
+from planish.sensing.points.triangulate import triangulate
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
 from render_tables import save_table

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.measurement import Measurement
-from planish.sensing.sequence import read_layouts
+from planish.sensing.capture.sequence import read_layouts
 from points import spread
 from render_tables import ROOT, save_table
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from planish.measurement import Measurement
 from planish.pipeline import measure
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 from planish.simulation.render import trace_capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene

@@ -14,7 +14,7 @@ import numpy as np
 from planish.evaluation.prepared import Prepared
 from planish.evaluation.truth import Truth, compare_with_truth
 from planish.pipeline import measure, register_run
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
 from render_tables import save_table

@@ -21,7 +21,7 @@ import numpy as np
 from planish.measurement import Measurement
 from planish.options import thread_count
 from planish.pipeline import measure, register_run
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 from planish.simulation.render import render_capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene

@@ -7,8 +7,8 @@ from scipy.ndimage import gaussian_filter1d, uniform_filter1d
 
 from planish.geometry import compose, exp_so3, invert
 from planish.rig import Camera, Rig
-from planish.sensing.capture import Manifest
-from planish.sensing.patterns import encode
+from planish.sensing.capture.manifest import Manifest
+from planish.sensing.patterns.sequences import encode
 
 PROJECTOR_PX = (320, 200)
 SIZE_PX = (200, 150)

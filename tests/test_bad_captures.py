@@ -11,7 +11,7 @@ import pytest
 from command_line import planish
 from planish.measurement import Measurement
 from planish.rig import Rig
-from planish.sensing.patterns import named_sequence, with_exposures
+from planish.sensing.patterns.sequences import named_sequence, with_exposures
 from planish.simulation.render import trace_capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.sensor import reference_rig

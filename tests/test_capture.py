@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 
 from planish.errors import InputError
 from planish.rig import Camera, Rig
-from planish.sensing.capture import Capture, Manifest
-from planish.sensing.entries import Gray, Phase
-from planish.sensing.images import read_grey
+from planish.sensing.capture.images import read_grey
+from planish.sensing.capture.manifest import Capture, Manifest
+from planish.sensing.patterns.entries import Gray, Phase
 
 HEIGHT, WIDTH = 24, 32
 SEQUENCE = [

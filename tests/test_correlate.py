@@ -6,9 +6,9 @@ import pytest
 from planish.geometry import compose, exp_so3
 from planish.measurement import REJECTIONS, NoiseModel
 from planish.rig import Camera
-from planish.sensing.capture import Box
-from planish.sensing.correlate import CorrelateOptions, correlate, temporal_view
-from planish.sensing.statistical import statistical_profile
+from planish.sensing.capture.manifest import Box
+from planish.sensing.patterns.statistical import statistical_profile
+from planish.sensing.points.correlate import CorrelateOptions, correlate, temporal_view
 from reference import correlate as reference
 from sequences import plane_points, small_rig
 

@@ -6,9 +6,9 @@ import pytest
 from planish import _core
 from planish.geometry import compose, exp_so3, invert
 from planish.rig import Camera
-from planish.sensing.correspond import Correspondences, correspond, undistortion_shifts
 from planish.sensing.decode import PhaseMap
-from planish.sensing.triangulate import triangulate
+from planish.sensing.points.correspond import Correspondences, correspond, undistortion_shifts
+from planish.sensing.points.triangulate import triangulate
 from reference import sensing as reference
 from sequences import plane_points, small_rig
 

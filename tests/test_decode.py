@@ -5,9 +5,9 @@ import pytest
 
 from planish import _core
 from planish.measurement import REJECTIONS, NoiseModel
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.decode import DecodeOptions, decode
 from planish.sensing.observe import observe
-from planish.sensing.sequence import read_layouts
 from reference import sensing as reference
 from sequences import gray_entries, manifest, phase_entries, render
 

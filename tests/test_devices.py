@@ -14,7 +14,7 @@ from planish.geometry import compose, exp_so3, invert
 from planish.measurement import Measurement
 from planish.pipeline import MeasureOptions, measure, register
 from planish.rig import Rig
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
 

@@ -6,11 +6,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from planish.measurement import REJECTIONS, NoiseModel
-from planish.sensing.correlate import CorrelateOptions, correlate
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.decode import DecodeOptions
 from planish.sensing.observe import observe
-from planish.sensing.patterns import SEQUENCES, named_sequence, statistical_sequence
-from planish.sensing.sequence import read_layouts
+from planish.sensing.patterns.sequences import SEQUENCES, named_sequence, statistical_sequence
+from planish.sensing.points.correlate import CorrelateOptions, correlate
 from sequences import blurred, manifest, plane_points, render, small_rig
 
 #: Half a level of 65,536 in every step, amplitude 80 of 256, as a share of the longest period; single precision [px].

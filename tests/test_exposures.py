@@ -8,11 +8,11 @@ import pytest
 from planish.errors import InputError
 from planish.measurement import NoiseModel, View, rejection_bit
 from planish.pipeline import measure
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 from planish.sensing.decode import PhaseMap
 from planish.sensing.exposures import merge_exposures, merge_positions, merge_views, split_exposures
 from planish.sensing.observe import Observation
-from planish.sensing.patterns import multi_frequency_sequence, with_exposures
+from planish.sensing.patterns.sequences import multi_frequency_sequence, with_exposures
 from planish.simulation.highlights import with_highlights
 from planish.simulation.render import trace_capture
 from planish.simulation.scenes import make_scene

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from planish.measurement import NoiseModel
-from planish.sensing.correspond import correspond
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.decode import DecodeOptions, PhaseMap
-from planish.sensing.gamma import estimate_wave_error, without_wave_error
 from planish.sensing.observe import observe
-from planish.sensing.patterns import encode
-from planish.sensing.projector import intersect
-from planish.sensing.response import gamma_finding
-from planish.sensing.sequence import read_layouts
-from planish.sensing.straighten import straighten
-from planish.sensing.triangulate import triangulate
+from planish.sensing.patterns.sequences import encode
+from planish.sensing.points.correspond import correspond
+from planish.sensing.points.projector import intersect
+from planish.sensing.points.triangulate import triangulate
+from planish.sensing.waveform.gamma import estimate_wave_error, without_wave_error
+from planish.sensing.waveform.response import gamma_finding
+from planish.sensing.waveform.straighten import straighten
 from sequences import PROJECTOR_PX, manifest, phase_entries, plane_points, small_rig
 
 PERIODS = (320, 80, 20)

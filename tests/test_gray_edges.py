@@ -6,10 +6,10 @@ import pytest
 from planish import _core
 from planish.errors import InputError
 from planish.measurement import REJECTIONS, NoiseModel
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.decode import DecodeOptions
 from planish.sensing.decode.gray_edges import local_mean_gain
 from planish.sensing.observe import observe
-from planish.sensing.sequence import read_layouts
 from reference import sensing as reference
 from sequences import blurred, gray_entries, manifest
 

@@ -11,7 +11,7 @@ from planish.cli import main
 from planish.errors import InputError
 from planish.measurement import Measurement
 from planish.rig import Rig
-from planish.sensing.imported import import_measurement
+from planish.sensing.imported.measurement import import_measurement
 from sequences import plane_points, small_rig
 from test_measure_command import refused
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from planish.measurement import REJECTIONS, NoiseModel
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.decode import DecodeOptions
 from planish.sensing.observe import observe
-from planish.sensing.patterns import encode
-from planish.sensing.sequence import read_layouts
+from planish.sensing.patterns.sequences import encode
 from sequences import manifest, phase_entries, render
 
 NOISE = NoiseModel(1.5, 0.025)

@@ -76,7 +76,10 @@ def make_package(root, files):
 @pytest.mark.parametrize(
     ("files", "fault"),
     [
-        ({"rig.py": "from planish.sensing import capture", "sensing/capture.py": ""}, "against the order"),
+        (
+            {"rig.py": "from planish.sensing.capture import manifest", "sensing/capture/manifest.py": ""},
+            "against the order",
+        ),
         ({"rig.py": "def f():\n    import planish.pipeline", "pipeline.py": ""}, "against the order"),
         ({"options.py": "from . import geometry", "geometry.py": ""}, "against the order"),
         (
@@ -100,9 +103,9 @@ def test_the_checker_finds_a_wrong_import(tmp_path, files, fault):
 def test_the_checker_accepts_right_imports(tmp_path):
     files = {
         "_core.py": "from planish import _core_baseline",
-        "sensing/capture.py": "from planish.errors import InputError\nimport numpy",
+        "sensing/capture/manifest.py": "from planish.errors import InputError\nimport numpy",
         "sensing/decode.py": "from . import capture\nfrom planish import _core",
-        "simulation/scenes.py": "from planish.sensing.capture import Capture",
+        "simulation/scenes.py": "from planish.sensing.capture.manifest import Capture",
         "cli/simulate.py": "from planish.simulation.scenes import render",
     }
     assert structure.layer_faults(make_package(tmp_path, files)) == []

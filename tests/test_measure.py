@@ -9,7 +9,7 @@ import pytest
 from planish.geometry import transform_points
 from planish.measurement import Measurement
 from planish.pipeline import MeasureOptions, measure
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from planish.pipeline import measure
-from planish.sensing.capture import Capture
-from planish.sensing.patterns import SEQUENCES, named_sequence, with_exposures
+from planish.sensing.capture.manifest import Capture
+from planish.sensing.patterns.sequences import SEQUENCES, named_sequence, with_exposures
 from planish.simulation.render import trace_capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene

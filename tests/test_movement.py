@@ -6,9 +6,9 @@ import pytest
 from planish import _core
 from planish.errors import InputError
 from planish.measurement import NoiseModel
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.checks.movement import check_movement, compare, drift
 from planish.sensing.checks.still import stills, to_compare
-from planish.sensing.sequence import read_layouts
 from reference.shift_sums import shift_sums
 from sequences import gray_entries, manifest, phase_entries
 from textured import picture, sequence, texture

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from planish import _core
-from planish.sensing.grey_range import grey_range
-from planish.sensing.noise import estimate_image_noise, estimate_noise, full_scale
-from planish.sensing.sequence import read_layouts
-from planish.sensing.statistical import statistical_profile
+from planish.sensing.capture.sequence import read_layouts
+from planish.sensing.noise.estimate import estimate_image_noise, estimate_noise, full_scale
+from planish.sensing.noise.grey_range import grey_range
+from planish.sensing.patterns.statistical import statistical_profile
 from reference import sensing as reference
 from sequences import gray_entries, manifest, phase_entries, render
 

@@ -5,10 +5,10 @@ import pytest
 
 from planish.errors import InputError
 from planish.measurement import NoiseModel
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.checks.order import check_order
 from planish.sensing.checks.slips import observe_consistent
 from planish.sensing.decode import DecodeOptions
-from planish.sensing.sequence import read_layouts
 from sequences import PROJECTOR_PX, gray_entries, manifest, phase_entries, render
 
 NOISE = (1.44, 0.025)

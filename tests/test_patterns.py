@@ -4,8 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planish.errors import InputError
-from planish.sensing.entries import Black, Gray, Phase, White
-from planish.sensing.patterns import (
+from planish.sensing.patterns.entries import Black, Gray, Phase, White
+from planish.sensing.patterns.sequences import (
     SEQUENCES,
     encode,
     gray_bits,

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from planish.cli import main
-from planish.sensing.capture import Capture
-from planish.sensing.patterns import SEQUENCES, encode, named_sequence, projector_image
+from planish.sensing.capture.manifest import Capture
+from planish.sensing.patterns.sequences import SEQUENCES, encode, named_sequence, projector_image
 
 #: An image holds whole grey levels of 255.
 ROUNDING = 0.5 / 255 + 1e-9

@@ -7,9 +7,9 @@ import pytest
 
 from planish.errors import InputError
 from planish.rig import Camera
-from planish.sensing.axes import axis_between_cameras, axis_to_projector
 from planish.sensing.decode import PhaseMap
-from planish.sensing.projector import intersect
+from planish.sensing.points.axes import axis_between_cameras, axis_to_projector
+from planish.sensing.points.projector import intersect
 from reference import sensing as reference
 from sequences import DISTORTION, looking_at_origin, plane_points, small_rig
 

@@ -5,10 +5,10 @@ import pytest
 
 from planish import _core
 from planish.measurement import REJECTIONS
-from planish.sensing.capture import Box
-from planish.sensing.correspond import correspond
-from planish.sensing.reject import RejectOptions, reject_edges, reject_points
-from planish.sensing.triangulate import triangulate
+from planish.sensing.capture.manifest import Box
+from planish.sensing.points.correspond import correspond
+from planish.sensing.points.reject import RejectOptions, reject_edges, reject_points
+from planish.sensing.points.triangulate import triangulate
 from reference import sensing as reference
 from sequences import plane_points, small_rig
 from test_correspond import phase_map, plane_maps

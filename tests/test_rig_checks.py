@@ -10,7 +10,7 @@ from planish.geometry import exp_so3
 from planish.measurement import rejection_bit
 from planish.pipeline import MeasureOptions, measure
 from planish.rig import Rig
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 from planish.sensing.checks.coverage import check_coverage
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene

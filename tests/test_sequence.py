@@ -3,7 +3,7 @@
 import pytest
 
 from planish.errors import InputError
-from planish.sensing.sequence import read_layouts
+from planish.sensing.capture.sequence import read_layouts
 from sequences import gray_entries, manifest, phase_entries
 
 

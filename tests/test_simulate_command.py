@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from planish.cli import main
-from planish.sensing.capture import Capture
-from planish.sensing.patterns import with_exposures
+from planish.sensing.capture.manifest import Capture
+from planish.sensing.patterns.sequences import with_exposures
 from planish.simulation.render import render_capture, true_points
 from planish.simulation.scenes import make_scene
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from planish.errors import InputError
-from planish.sensing.entries import Black, Statistical, White
-from planish.sensing.patterns import encode, phase_steps, with_exposures
+from planish.sensing.patterns.entries import Black, Statistical, White
+from planish.sensing.patterns.sequences import encode, phase_steps, with_exposures
 from planish.simulation.highlights import with_highlights
 from planish.simulation.light import Light
 from planish.simulation.render import render_capture, trace_capture

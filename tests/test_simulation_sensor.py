@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planish.sensing.entries import Black, White
+from planish.sensing.patterns.entries import Black, White
 from planish.simulation.light import Light
 from planish.simulation.render import render_capture, trace_capture
 from planish.simulation.scenes import Scene, make_scene

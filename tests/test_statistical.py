@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planish.sensing.statistical import statistical_profile
+from planish.sensing.patterns.statistical import statistical_profile
 
 #: Images per sequence and their shortest period, as recommended.
 IMAGES, PERIOD_PX = 10, 12.0

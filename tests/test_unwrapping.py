@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from planish.errors import InputError
 from planish.measurement import NoiseModel
+from planish.sensing.capture.sequence import read_layouts
+from planish.sensing.capture.unwrapping import SLIP_SIGMAS, candidates, plan_levels
 from planish.sensing.decode import DecodeOptions, decode
 from planish.sensing.observe import observe
-from planish.sensing.sequence import read_layouts
-from planish.sensing.unwrapping import SLIP_SIGMAS, candidates, plan_levels
 from sequences import gray_entries, manifest, phase_entries, render
 
 #: Rounding of 16 bit and single precision at 2000 px, in projector px.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from planish.sensing.patterns import encode
+from planish.sensing.patterns.sequences import encode
 
 #: Samples of the texture per pixel: linear interpolation keeps shifts exact (cubic does not).
 FINE = 8

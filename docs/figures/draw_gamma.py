@@ -9,11 +9,11 @@ import numpy as np
 
 from planish.geometry import Array, compose, exp_so3, invert
 from planish.rig import Camera
-from planish.sensing.correspond import correspond
 from planish.sensing.decode import PhaseMap
-from planish.sensing.gamma import estimate_wave_error, without_wave_error
-from planish.sensing.projector import intersect
-from planish.sensing.triangulate import triangulate
+from planish.sensing.points.correspond import correspond
+from planish.sensing.points.projector import intersect
+from planish.sensing.points.triangulate import triangulate
+from planish.sensing.waveform.gamma import estimate_wave_error, without_wave_error
 
 SIZE_PX, PERIOD_PX, STEPS, GAMMA, SIGMA_PX = (640, 120), 20.0, 3, 2.2, 0.01
 COLUMNS, ROW = slice(300, 400), 60

@@ -7,7 +7,7 @@ from planish.measurement import Measurement
 from planish.pipeline import MeasureOptions, RegisterOptions, measure, register
 from planish.registration.result import PairResult, Registration
 from planish.rig import Camera, Rig
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 
 __all__ = [
     "Camera",

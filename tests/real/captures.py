@@ -8,7 +8,7 @@ import pytest
 
 from planish.measurement import Measurement
 from planish.pipeline import MeasureOptions, measure
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 
 HERE = Path(__file__).parent
 

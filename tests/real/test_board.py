@@ -10,10 +10,10 @@ import pytest
 from captures import load, robust_spread
 
 from planish.pipeline import measure
+from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.decode import PhaseMap
 from planish.sensing.decode.gray import gray_positions
-from planish.sensing.projector import intersect
-from planish.sensing.sequence import read_layouts
+from planish.sensing.points.projector import intersect
 
 CORNERS, SQUARE = (9, 7), 75.0
 WHITE, BLACK, LIT_LEVELS = 40, 41, 20

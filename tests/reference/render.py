@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import erf, ndtr
 
 from planish.geometry import invert, transform_points
-from planish.sensing.patterns import axis_of, projector_profile
+from planish.sensing.patterns.sequences import axis_of, projector_profile
 from planish.simulation.sensor import projector_gain, sensor_response
 from planish.simulation.texture import reflectance
 

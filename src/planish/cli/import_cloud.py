@@ -11,8 +11,8 @@ from planish.cli.measure import summary
 from planish.errors import InputError
 from planish.files.read_cloud import read_ply_points
 from planish.rig import Rig
-from planish.sensing.images import read_grey
-from planish.sensing.imported import import_measurement
+from planish.sensing.capture.images import read_grey
+from planish.sensing.imported.measurement import import_measurement
 
 
 def import_cloud(

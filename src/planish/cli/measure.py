@@ -15,7 +15,7 @@ from planish.measurement import Measurement
 from planish.options import thread_count
 from planish.pipeline import MeasureOptions
 from planish.pipeline import measure as measure_capture
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 
 MANIFEST = "capture.json"
 #: Findings that are always printed; the others stand in the file, and are printed on request.

@@ -10,8 +10,8 @@ import typer
 
 from planish.cli import console
 from planish.errors import InputError
-from planish.sensing.pattern_files import write_patterns
-from planish.sensing.patterns import SEQUENCES, named_sequence, with_exposures
+from planish.sensing.patterns.files import write_patterns
+from planish.sensing.patterns.sequences import SEQUENCES, named_sequence, with_exposures
 
 #: Axes by the word of the option.
 AXES = {"u": ("u",), "v": ("v",), "both": ("u", "v")}

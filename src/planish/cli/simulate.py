@@ -12,9 +12,9 @@ from planish import storage
 from planish.cli import console
 from planish.cli.patterns import parse_axes, parse_numbers
 from planish.errors import InputError
-from planish.sensing.capture import Manifest
-from planish.sensing.entries import Entry
-from planish.sensing.patterns import PROJECTOR_PX, SEQUENCES, named_sequence, with_exposures
+from planish.sensing.capture.manifest import Manifest
+from planish.sensing.patterns.entries import Entry
+from planish.sensing.patterns.sequences import PROJECTOR_PX, SEQUENCES, named_sequence, with_exposures
 from planish.simulation.highlights import with_highlights
 from planish.simulation.scenes import SCENES, Background, make_scene
 from planish.simulation.writing import write_scene

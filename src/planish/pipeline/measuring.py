@@ -17,15 +17,17 @@ from planish.errors import InputError
 from planish.measurement import Measurement
 from planish.options import Options, thread_count
 from planish.rig import Rig
-from planish.sensing.capture import Box, Capture, ImageReader
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.manifest import Box, Capture, ImageReader
+from planish.sensing.capture.sequence import Layout, read_layouts
 from planish.sensing.checks.coverage import check_coverage
 from planish.sensing.checks.slips import observe_consistent
 from planish.sensing.checks.swapped import check_rig
-from planish.sensing.correlate import CorrelateOptions
 from planish.sensing.decode import DecodeOptions
 from planish.sensing.exposures import merge_exposures, split_exposures
-from planish.sensing.images import GreyImage
-from planish.sensing.locate import (
+from planish.sensing.observe import Observation, with_phases
+from planish.sensing.points.correlate import CorrelateOptions
+from planish.sensing.points.locate import (
     Geometry,
     Located,
     cameras_needed,
@@ -35,10 +37,8 @@ from planish.sensing.locate import (
     locate_by_correlation,
     locate_by_projector,
 )
-from planish.sensing.observe import Observation, with_phases
-from planish.sensing.reject import RejectOptions, drop_points, reject_edges, reject_points
-from planish.sensing.sequence import Layout, read_layouts
-from planish.sensing.straighten import straighten
+from planish.sensing.points.reject import RejectOptions, drop_points, reject_edges, reject_points
+from planish.sensing.waveform.straighten import straighten
 
 
 class MeasureOptions(Options):

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planish.errors import InputError
 from planish.measurement import Map, NoiseModel, View, rejection_bit
-from planish.sensing.capture import Capture
+from planish.sensing.capture.manifest import Capture
 from planish.sensing.decode import PhaseMap
 from planish.sensing.observe import Observation
 

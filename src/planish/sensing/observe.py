@@ -11,17 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.measurement import Finding, Map, NoiseModel, View
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import Layout
 from planish.sensing.checks.images import check_images
-from planish.sensing.correlate import temporal_view
 from planish.sensing.decode import DecodeOptions, PhaseMap, decode
 from planish.sensing.decode.average import mean_image
 from planish.sensing.decode.gray import gray_offset, gray_positions
 from planish.sensing.decode.gray_edges import decode_gray_edges
-from planish.sensing.entries import Axis
-from planish.sensing.images import GreyImage
-from planish.sensing.noise import estimate_noise, full_scale
-from planish.sensing.response import gamma_finding
-from planish.sensing.sequence import Layout
+from planish.sensing.noise.estimate import estimate_noise, full_scale
+from planish.sensing.patterns.entries import Axis
+from planish.sensing.points.correlate import temporal_view
+from planish.sensing.waveform.response import gamma_finding
 
 
 @dataclass(frozen=True)

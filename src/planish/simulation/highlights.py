@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from planish.errors import InputError
-from planish.sensing.entries import White
+from planish.sensing.patterns.entries import White
 from planish.simulation.render import render_capture
 from planish.simulation.scenes import Scene
 from planish.simulation.sensor import reference_rig

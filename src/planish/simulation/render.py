@@ -15,7 +15,7 @@ from planish.errors import InputError
 from planish.geometry import Array, invert, transform_points
 from planish.options import thread_count
 from planish.rig import Camera
-from planish.sensing.entries import Entry
+from planish.sensing.patterns.entries import Entry
 from planish.simulation.light import kernel_light
 from planish.simulation.scenes import Scene
 from planish.simulation.sensor import kernel_sensor, projected_patterns

@@ -10,8 +10,8 @@ import numpy as np
 from planish.errors import InputError
 from planish.geometry import Array, compose, exp_so3
 from planish.rig import Rig
-from planish.sensing.entries import Entry
-from planish.sensing.patterns import reference_sequence
+from planish.sensing.patterns.entries import Entry
+from planish.sensing.patterns.sequences import reference_sequence
 from planish.simulation.light import Light
 from planish.simulation.sensor import Sensor, reference_rig
 from planish.simulation.surfaces import Cylinder, Door, Pipe, Plate, Step, Surface, Waves

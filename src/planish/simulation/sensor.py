@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from planish.errors import InputError
 from planish.geometry import Array, compose, exp_so3, invert
 from planish.rig import Camera, Rig
-from planish.sensing.entries import Entry
-from planish.sensing.patterns import PROJECTOR_PX, axis_of, projector_profile
+from planish.sensing.patterns.entries import Entry
+from planish.sensing.patterns.sequences import PROJECTOR_PX, axis_of, projector_profile
 
 _CameraRow = tuple[tuple[float, ...], tuple[float, ...], float, tuple[float, float], tuple[float, float]]
 #: position [mm], rotation [rad], principal distance [px], principal point [px] (paper); k1, k2 (ours).

@@ -12,9 +12,9 @@ import numpy as np
 from planish import storage
 from planish.errors import InputError
 from planish.options import thread_count
-from planish.sensing.capture import SCHEMA as CAPTURE_SCHEMA
-from planish.sensing.entries import Entry
-from planish.sensing.patterns import entry_label
+from planish.sensing.capture.manifest import SCHEMA as CAPTURE_SCHEMA
+from planish.sensing.patterns.entries import Entry
+from planish.sensing.patterns.sequences import entry_label
 from planish.simulation.render import Images, render_capture, trace_capture
 from planish.simulation.scenes import Scene
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from planish.measurement import Finding, NoiseModel
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import Layout
 from planish.sensing.checks.movement import check_movement
 from planish.sensing.checks.order import check_order
-from planish.sensing.images import GreyImage
-from planish.sensing.sequence import Layout
 
 
 def check_images(

@@ -11,10 +11,10 @@ import numpy as np
 from planish.errors import InputError
 from planish.geometry import Array
 from planish.measurement import Finding, Map, NoiseModel
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import Layout, PeriodSteps
 from planish.sensing.checks.shift import BLOCK_PX, NOT_OBSERVABLE, BlockSums, Shift, block_sums, solve_shift
 from planish.sensing.checks.still import Still, comparable, mean_of, stills, to_compare
-from planish.sensing.images import GreyImage
-from planish.sensing.sequence import Layout, PeriodSteps
 
 #: A capture with more movement [px] is refused: points and texture would be off by more than their own noise.
 MAX_MOVEMENT_PX = 0.2

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from planish.errors import InputError
 from planish.geometry import Array
 from planish.measurement import Finding, NoiseModel
-from planish.sensing.images import GreyImage
-from planish.sensing.sequence import Layout, PeriodSteps
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import Layout, PeriodSteps
 
 #: Pixels that are looked at.
 SAMPLED_PX = 10_000

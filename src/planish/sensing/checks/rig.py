@@ -9,7 +9,7 @@ from planish.measurement import Finding, Map
 from planish.rig import Camera
 from planish.sensing.checks.tiles import MIN_TILES, TILE_PX, TILES, RowError, Tiles
 from planish.sensing.decode import PhaseMap, position_slope
-from planish.sensing.triangulate import TriangulatedPoints
+from planish.sensing.points.triangulate import TriangulatedPoints
 
 #: Every so many rows serve for the residual of the projector's ray.
 RAY_ROWS = 32

@@ -9,12 +9,12 @@ import numpy as np
 
 from planish.errors import InputError
 from planish.measurement import View, rejection_bit
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import AxisCode, Layout, PeriodSteps, make_axis_code
 from planish.sensing.checks.direction import backward_share
 from planish.sensing.decode import DecodeOptions, PhaseMap
 from planish.sensing.decode.gray import Contradiction
-from planish.sensing.images import GreyImage
 from planish.sensing.observe import Observation, observe
-from planish.sensing.sequence import AxisCode, Layout, PeriodSteps, make_axis_code
 
 #: Among the pixels that show fringes, slips are rare (beside edges, in noise): a larger share is no accident.
 MAX_SLIP_SHARE = 0.3

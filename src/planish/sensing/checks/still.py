@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.measurement import Map
-from planish.sensing.images import GreyImage
-from planish.sensing.sequence import AxisCode, Layout
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import AxisCode, Layout
 
 #: Groups are joined with their neighbours in time until they hold so many images: less noise.
 JOINED_IMAGES = 4

@@ -14,11 +14,11 @@ from planish.rig import Rig
 from planish.sensing.checks.rig import check_projector_ray, describe_row_error, row_error_of_positions
 from planish.sensing.checks.texture_rows import row_error_of_textures
 from planish.sensing.checks.tiles import TILE_PX, TILES, RowError, choose_tiles
-from planish.sensing.correspond import correspond
-from planish.sensing.entries import Axis
-from planish.sensing.locate import Located
 from planish.sensing.observe import Observation
-from planish.sensing.triangulate import triangulate
+from planish.sensing.patterns.entries import Axis
+from planish.sensing.points.correspond import correspond
+from planish.sensing.points.locate import Located
+from planish.sensing.points.triangulate import triangulate
 
 #: Where a smaller share of the tiles tells, the other way round is tried; it has to be told by that many more.
 FEW_TILES = 0.5

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planish.geometry import Array
 from planish.measurement import Map
 from planish.rig import Camera
-from planish.sensing.triangulate import TriangulatedPoints
+from planish.sensing.points.triangulate import TriangulatedPoints
 
 #: An error (or its variation over the image) above this is worth a warning [px] ...
 WARN_PX = 0.5

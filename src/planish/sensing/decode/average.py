@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from planish.measurement import Map
-from planish.sensing.images import GreyImage
+from planish.sensing.capture.images import GreyImage
 
 
 def mean_image(images: Sequence[GreyImage], indices: Sequence[int]) -> Map:

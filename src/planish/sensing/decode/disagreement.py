@@ -18,9 +18,9 @@ import numpy as np
 
 from planish import _core
 from planish.measurement import Map
-from planish.sensing.images import GreyImage
-from planish.sensing.sequence import AxisCode
-from planish.sensing.unwrapping import Level
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import AxisCode
+from planish.sensing.capture.unwrapping import Level
 
 #: Rows of the image that are looked at, samples that are enough, the least that say something.
 ROWS, SAMPLES, MIN_SAMPLES = 16, 6000, 500

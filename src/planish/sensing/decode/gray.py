@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from planish import _core
 from planish.errors import InputError
 from planish.measurement import Map
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import AxisCode, Layout
+from planish.sensing.capture.unwrapping import Level
 from planish.sensing.decode.average import mean_image
-from planish.sensing.images import GreyImage
-from planish.sensing.sequence import AxisCode, Layout
-from planish.sensing.unwrapping import Level
 
 Wave = NDArray[np.complex128]
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from planish import _core
 from planish.errors import InputError
 from planish.measurement import Map, NoiseModel
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import AxisCode, GrayCode, Layout
 from planish.sensing.decode.phase import PhaseMap
-from planish.sensing.images import GreyImage
-from planish.sensing.sequence import AxisCode, GrayCode, Layout
 
 #: Pixels whose normalised signal (-1 ... 1) has a larger standard deviation are dark: a bit is then wrong once in
 #: 1e6 where it is fully lit or unlit.
@@ -106,7 +106,7 @@ def local_mean_gain(position_px: Map, cell_px: float) -> float:
     -----
     Linear interpolation between independent edges at distance D has, averaged over where the pixel lies between them,
     the autocovariance of a cubic B-spline: rho(k) = M(k / D) / M(0) (two triangles convolved with each other). The
-    weights are those of the cubic B-spline that reads the other camera (sensing/correspond.py), averaged likewise.
+    weights are those of the cubic B-spline that reads the other camera (points/correspond.py), averaged likewise.
     """
     steps = np.abs(np.diff(position_px[::SAMPLE_STRIDE], axis=1))
     known = steps[np.isfinite(steps)]

@@ -13,10 +13,10 @@ from pydantic import Field
 from planish import _core
 from planish.measurement import Map, NoiseModel, rejection_bit
 from planish.options import Options
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import AxisCode
 from planish.sensing.decode.disagreement import PhaseStack, expected_disagreement
-from planish.sensing.entries import Axis
-from planish.sensing.images import GreyImage
-from planish.sensing.sequence import AxisCode
+from planish.sensing.patterns.entries import Axis
 
 #: Neighbours that differ by more than so many standard deviations lie on different surfaces.
 AGREEMENT_SIGMAS = 5.0

@@ -12,9 +12,9 @@ from planish import _core
 from planish.measurement import Map, rejection_bit
 from planish.options import Options
 from planish.rig import Camera
-from planish.sensing.capture import Box
+from planish.sensing.capture.manifest import Box
 from planish.sensing.decode import PhaseMap, position_slope
-from planish.sensing.triangulate import TriangulatedPoints
+from planish.sensing.points.triangulate import TriangulatedPoints
 
 #: The lit part of a pixel lies at most so far from its centre [px].
 RIM_PX = 0.5

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from planish.errors import InputError
 from planish.measurement import Finding, Map, rejection_bit
 from planish.rig import Camera, Rig
-from planish.sensing.agreement import Agreement, measure_agreement, sample_pixels, systematic_miss
-from planish.sensing.axes import axis_between_cameras, axis_to_projector
-from planish.sensing.capture import Box
-from planish.sensing.correlate import CorrelateOptions, correlate
-from planish.sensing.correspond import correspond
+from planish.sensing.capture.manifest import Box
 from planish.sensing.decode import PhaseMap
-from planish.sensing.entries import Axis
 from planish.sensing.observe import Observation
-from planish.sensing.projector import intersect
-from planish.sensing.reject import RejectOptions
-from planish.sensing.triangulate import TriangulatedPoints, triangulate
+from planish.sensing.patterns.entries import Axis
+from planish.sensing.points.agreement import Agreement, measure_agreement, sample_pixels, systematic_miss
+from planish.sensing.points.axes import axis_between_cameras, axis_to_projector
+from planish.sensing.points.correlate import CorrelateOptions, correlate
+from planish.sensing.points.correspond import correspond
+from planish.sensing.points.projector import intersect
+from planish.sensing.points.reject import RejectOptions
+from planish.sensing.points.triangulate import TriangulatedPoints, triangulate
 
 Geometry = Literal["auto", "stereo", "projector"]
 #: Missing pixels stand in lists of this width.

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from planish import _core
 from planish.measurement import Map
 from planish.rig import Camera
-from planish.sensing.correspond import undistortion_shifts
 from planish.sensing.decode import PhaseMap
-from planish.sensing.entries import Axis
-from planish.sensing.triangulate import TriangulatedPoints
+from planish.sensing.patterns.entries import Axis
+from planish.sensing.points.correspond import undistortion_shifts
+from planish.sensing.points.triangulate import TriangulatedPoints
 
 _AXES: tuple[Axis, Axis] = ("u", "v")
 _ABSENT: Map = np.empty((0, 0), np.float32)

@@ -19,9 +19,9 @@ from planish.geometry import Array
 from planish.measurement import Map, NoiseModel, View
 from planish.options import Options
 from planish.rig import Camera
-from planish.sensing.capture import Box
-from planish.sensing.correspond import Correspondences, fundamental_matrix, undistortion_shifts
-from planish.sensing.images import GreyImage
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.manifest import Box
+from planish.sensing.points.correspond import Correspondences, fundamental_matrix, undistortion_shifts
 
 #: Every so many pixels the range of the search is computed from the volume.
 RANGE_SPACING_PX = 16

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from planish import _core
 from planish.measurement import NoiseModel
-from planish.sensing.grey_range import grey_range
-from planish.sensing.images import GreyImage
-from planish.sensing.sequence import Layout
-from planish.sensing.temporal_noise import temporal_samples
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import Layout
+from planish.sensing.noise.grey_range import grey_range
+from planish.sensing.noise.temporal import temporal_samples
 
 Array = NDArray[np.float64]
 Samples = NDArray[np.float32]

@@ -66,7 +66,7 @@ class Gray(_Shown):
 class Statistical(_Shown):
     """One of many different aperiodic patterns; what it looks like need not be known to correlate two cameras.
 
-    planish's own are stripes along one projector axis, made of `seed` and `index` (sensing/statistical.py).
+    planish's own are stripes along one projector axis, made of `seed` and `index` (sensing/patterns/statistical.py).
     """
 
     role: Literal["statistical"]

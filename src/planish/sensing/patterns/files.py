@@ -10,9 +10,9 @@ import numpy as np
 
 from planish import storage
 from planish.errors import InputError
-from planish.sensing.capture import SCHEMA
-from planish.sensing.entries import Entry
-from planish.sensing.patterns import entry_label, pattern_image
+from planish.sensing.capture.manifest import SCHEMA
+from planish.sensing.patterns.entries import Entry
+from planish.sensing.patterns.sequences import entry_label, pattern_image
 
 #: Names that `capture.json` gives to what is to be recorded and to be calibrated.
 RIG_NAME = "rig.json"

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planish.geometry import Array
-from planish.sensing.entries import Black, Entry, Gray, Phase, Statistical, White
-from planish.sensing.statistical import statistical_profile
+from planish.sensing.patterns.entries import Black, Entry, Gray, Phase, Statistical, White
+from planish.sensing.patterns.statistical import statistical_profile
 
 #: Cosines this near to zero are the edge of a square wave: the pixel is half on, so that the edge is not displaced.
 EDGE = 1e-9

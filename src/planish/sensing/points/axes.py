@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from planish.errors import InputError
 from planish.rig import Camera
-from planish.sensing.correspond import MIN_BASELINE_MM
 from planish.sensing.decode import PhaseMap
-from planish.sensing.entries import Axis
+from planish.sensing.patterns.entries import Axis
+from planish.sensing.points.correspond import MIN_BASELINE_MM
 
 #: Share of an axis in the direction of the epipolar lines (cosine) below which it measures no depth: 3 degrees.
 MIN_SHARE = 0.05

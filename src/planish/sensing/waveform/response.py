@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from planish.measurement import Finding, NoiseModel
-from planish.sensing.images import GreyImage
-from planish.sensing.sequence import Layout
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.capture.sequence import Layout
 
 #: Every so many rows and columns are looked at.
 SAMPLE_STRIDE = 8

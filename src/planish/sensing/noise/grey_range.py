@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planish.sensing.images import GreyImage
+from planish.sensing.capture.images import GreyImage
 
 #: Full scales of sensors, also of 10, 12 and 14 bit in files of 16 bit (low or high bits used).
 FULL_SCALES = (255, 1023, 4095, 16383, 65472, 65520, 65532, 65535)

@@ -1,4 +1,4 @@
-"""Takes the errors of fringes that are no cosine out of what a camera saw (sensing/gamma.py)."""
+"""Takes the errors of fringes that are no cosine out of what a camera saw (sensing/waveform/gamma.py)."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from planish.measurement import Finding
-from planish.sensing.gamma import WaveError, estimate_wave_error, without_wave_error
+from planish.sensing.capture.sequence import AxisCode
 from planish.sensing.observe import Observation
-from planish.sensing.sequence import AxisCode
+from planish.sensing.waveform.gamma import WaveError, estimate_wave_error, without_wave_error
 
 
 def straighten(observation: Observation, codes: Sequence[AxisCode], camera: str) -> Observation:

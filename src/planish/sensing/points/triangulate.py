@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from planish import _core
 from planish.measurement import Map
 from planish.rig import Camera
-from planish.sensing.correspond import Correspondences, undistortion_shifts
+from planish.sensing.points.correspond import Correspondences, undistortion_shifts
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from planish.errors import InputError
-from planish.sensing.capture import Manifest
-from planish.sensing.entries import Axis, Entry, Gray, Phase, Statistical
-from planish.sensing.unwrapping import BEST_NOISE, Ladder, Level, candidates, plan_levels
+from planish.sensing.capture.manifest import Manifest
+from planish.sensing.capture.unwrapping import BEST_NOISE, Ladder, Level, candidates, plan_levels
+from planish.sensing.patterns.entries import Axis, Entry, Gray, Phase, Statistical
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from planish.geometry import Array
 from planish.measurement import Measurement, View, rejection_bit
 from planish.options import Options
 from planish.rig import Camera, Rig
-from planish.sensing.images import GreyImage
-from planish.sensing.noise import estimate_image_noise, full_scale
-from planish.sensing.render_cloud import render_cloud
+from planish.sensing.capture.images import GreyImage
+from planish.sensing.imported.render_cloud import render_cloud
+from planish.sensing.noise.estimate import estimate_image_noise, full_scale
 
 #: Window of pixels over which the residual of an organised cloud is averaged.
 RESIDUAL_WINDOW = 9

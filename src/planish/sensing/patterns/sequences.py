@@ -15,8 +15,15 @@ from typing import Any
 import numpy as np
 
 from planish.errors import InputError
-from planish.sensing.encode import axis_of, encode, entry_label, pattern_image, projector_image, projector_profile
-from planish.sensing.entries import Axis, Black, Entry, Gray, Phase, Statistical, White
+from planish.sensing.patterns.encode import (
+    axis_of,
+    encode,
+    entry_label,
+    pattern_image,
+    projector_image,
+    projector_profile,
+)
+from planish.sensing.patterns.entries import Axis, Black, Entry, Gray, Phase, Statistical, White
 
 __all__ = [
     "PROJECTOR_PX",

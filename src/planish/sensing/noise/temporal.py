@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.sensing.images import GreyImage
+from planish.sensing.capture.images import GreyImage
 
 Samples = NDArray[np.float32]
 

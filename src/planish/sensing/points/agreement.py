@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from planish.measurement import Map
 from planish.rig import Camera
 from planish.sensing.decode import PhaseMap
-from planish.sensing.triangulate import TriangulatedPoints
+from planish.sensing.points.triangulate import TriangulatedPoints
 
 #: Pixels along the side of a block; every SAMPLE_STRIDE-th of them is looked at. Noise averages out in a block.
 BLOCK, SAMPLE_STRIDE = 64, 8

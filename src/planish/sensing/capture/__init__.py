@@ -1,0 +1,1 @@
+"""What a sensor recorded: manifest, images, calibration files, and what the images of a sequence are good for."""

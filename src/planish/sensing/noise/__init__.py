@@ -1,0 +1,1 @@
+"""Noise and range of grey values, estimated from the sequence itself."""

@@ -1,0 +1,1 @@
+"""From projector positions to points: correspondence, triangulation, the third ray, rejection."""

@@ -1,0 +1,1 @@
+"""Fringes that are no cosine: found from the phases alone, and corrected."""
