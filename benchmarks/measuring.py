@@ -29,8 +29,8 @@ from planish.simulation.writing import write_scene
 from render_tables import save_table
 
 
-def take_turns(functions: dict[str, Callable[[], object]], runs: int) -> dict[str, float]:
-    """Median seconds of each function, called in turn, after one round that does not count."""
+def take_turns(functions: dict[str, Callable[[], object]], runs: int, after: Callable[[], object]) -> dict[str, float]:
+    """Median seconds of each function, called in turn, after one round that does not count; `after` is not timed."""
     seconds: dict[str, list[float]] = {name: [] for name in functions}
     for run in range(runs + 1):
         for name, function in functions.items():
@@ -38,6 +38,7 @@ def take_turns(functions: dict[str, Callable[[], object]], runs: int) -> dict[st
             function()
             if run:
                 seconds[name].append(time.perf_counter() - started)
+            after()
     return {name: median(values) for name, values in seconds.items()}
 
 
@@ -66,13 +67,17 @@ def main() -> None:
             pairs = correspond(phases["A"], phases["B"], rig.cameras["A"], rig.cameras["B"], threads)
             return triangulate(pairs, rig.cameras["A"], rig.cameras["B"], threads)
 
-        # To replace a file costs what it takes to forget the old one.
-        files = [Path(folder) / f"{run}.h5" for run in range(runs + 1)]
+        file = Path(folder) / "m1.h5"
 
         def whole() -> None:
-            measure(capture, options, threads).save(files.pop())
+            measure(capture, options, threads).save(file)
 
-        seconds = take_turns({"read": read, "decode": decode_both, "points": points, "whole": whole}, runs)
+        seconds = take_turns(
+            {"read": read, "decode": decode_both, "points": points, "whole": whole},
+            runs,
+            # To replace a file costs what it takes to forget the old one.
+            lambda: file.unlink(missing_ok=True),
+        )
     rows = [
         {"what": "floor: reading 28 PNG", "seconds": seconds["read"], "ratio": 1.0},
         {"what": "both cameras: noise, positions, sigma, texture", "seconds": seconds["decode"],

@@ -20,7 +20,7 @@ MIN_WINDOWS = 200
 
 
 def backward_share(phase: PhaseMap, period_px: float) -> float:
-    """Return the share of the windows along image lines in which positions run to and fro; 0 where too few tell.
+    """Return the share of the windows along image lines in which positions run back and forth; 0 where too few tell.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ def slip_share(phase: PhaseMap, view: View, code: AxisCode) -> float:
 
 
 def worst_share(seen: Mapping[str, Observation], layout: Layout) -> float:
-    """Return the largest share of slips, or of positions that run to and fro, of all cameras and axes."""
+    """Return the largest share of slips, or of positions that run back and forth, of all cameras and axes."""
     codes, shares = {code.axis: code for code in layout.codes}, [0.0]
     for item in seen.values():
         shares += [slip_share(phase, item.view, codes[axis]) for axis, phase in item.phases.items()]
