@@ -212,10 +212,13 @@ def find_missing(
     rows = -(-len(missing) // LIST_WIDTH)
     pixels = np.concatenate([missing, np.full(rows * LIST_WIDTH - len(missing), -1)]).reshape(rows, LIST_WIDTH)
     found = intersect(phases, axis, own, projector, threads, pixels)
-    good = np.isfinite(found.sigma_mm) & ~found.contradiction(allowed, options.sigmas)
-    pixels, sigma = pixels[good], found.sigma_mm[good]
-    per_px = sigma / phases[axis].sigma_px.ravel()[pixels]
-    sigma = np.hypot(sigma, np.float32(systematic) * per_px)
+    with np.errstate(invalid="ignore"):
+        per_px = found.sigma_mm / phases[axis].sigma_px.ravel()[pixels]
+        sigma = np.hypot(found.sigma_mm, np.float32(systematic) * per_px)
+        # Where the projector sees the surface at a grazing angle, its points are worth little.
+        good = found.sigma_mm <= options.fill_sigma_ratio * np.nanmedian(located.points.sigma_mm.ravel()[places])
+    good &= ~found.contradiction(allowed, options.sigmas)
+    pixels, sigma = pixels[good], sigma[good]
     # The limit of a miss between cameras knows nothing of noise: what is left here is within it.
     miss = np.full_like(sigma, np.nan)
     return Filling(pixels, found.points_sensor[good], sigma, miss, True, (*findings, against))

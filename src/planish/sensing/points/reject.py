@@ -42,6 +42,9 @@ class RejectOptions(Options):
     rim_sigmas : float
         Points beside an unlit pixel are rejected where half a pixel more or less would move them by more than so many
         standard deviations: the unlit part of a pixel shifts what it looks at.
+    fill_sigma_ratio : float
+        Points that the projector gives beside those of two cameras count where noise alone leaves them a sigma of at
+        most so many times the median of those.
     min_island_pixels : int
         Connected regions with fewer pixels are rejected.
     """
@@ -53,6 +56,7 @@ class RejectOptions(Options):
     max_tilt_deg: float = Field(default=85.0, gt=0, lt=90)
     max_incidence_deg: float = Field(default=80.0, gt=0, lt=90)
     rim_sigmas: float = Field(default=3.0, gt=0)
+    fill_sigma_ratio: float = Field(default=4.0, gt=0)
     min_island_pixels: int = Field(default=50, ge=1)
 
 
