@@ -13,31 +13,19 @@ import sys
 import numpy as np
 
 from planish.pipeline import measure
-from planish.sensing.capture.sequence import read_layouts
-from planish.sensing.decode import PhaseMap
-from planish.sensing.decode.gray import gray_positions
-from planish.sensing.points.projector import intersect
 from render_tables import ROOT, save_table
 
 sys.path.insert(0, str(ROOT / "tests" / "real"))
 from captures import load, robust_spread
-from test_board import CELL_PX, board, fit_plane
+from test_board import board, cell_centres, fit_plane
 
 
 def main() -> None:
     rows = []
     for index in range(3):
         capture = load("procam_board", f"capture_{index}.json")
-        rig, images = capture.load_rig("A"), capture.read_images("A")
-        camera = rig.cameras["A"]
-        (layout,) = read_layouts(capture.manifest, "capture.json", rig.projector.size_px)
         mask, _ = board(capture)
-        plain = {}
-        for code in layout.codes:
-            position = np.where(mask, gray_positions(images, code, layout, 2), np.nan).astype(np.float32)
-            sigma = np.full(position.shape, CELL_PX / np.sqrt(12), np.float32)
-            plain[code.axis] = PhaseMap(code.axis, position, sigma, np.zeros(position.shape, np.uint16))
-        centres = intersect(plain, "v", camera, rig.projector, 2)
+        centres = cell_centres(capture, mask)
         *_, distance, inliers = fit_plane(centres.points_sensor[np.isfinite(centres.sigma_mm)].astype(float))
         item = measure(capture)
         use = mask & item.valid

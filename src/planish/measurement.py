@@ -39,6 +39,16 @@ def rejection_bit(reason: str) -> np.uint16:
     return np.uint16(1 << REJECTIONS.index(reason))
 
 
+def count_reasons(rejected: NDArray[np.uint16]) -> dict[str, int]:
+    """Return how many pixels (H, W) each of REJECTIONS decided about: the first of a pixel's reasons."""
+    # A table of all values instead of a pass per reason.
+    table = np.bincount(rejected.ravel(), minlength=1 << len(REJECTIONS))
+    counts = dict.fromkeys(REJECTIONS, 0)
+    for value in np.flatnonzero(table[1:]) + 1:
+        counts[REJECTIONS[int(value & -value).bit_length() - 1]] += int(table[value])
+    return counts
+
+
 @dataclass(frozen=True)
 class Finding:
     """What a capture says about itself: a quantity with its standard deviation, or that it cannot be observed.

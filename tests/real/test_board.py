@@ -34,6 +34,18 @@ def board(capture):
     return (mask > 0) & (white - black > LIT_LEVELS), corners.reshape(CORNERS[1], CORNERS[0], 2)
 
 
+def cell_centres(capture, mask):
+    """What a plain decoder has: the points of the cells' centres, where camera and projector see them."""
+    rig, images = capture.load_rig("A"), capture.read_images("A", 2)
+    (layout,) = read_layouts(capture.manifest, "capture.json", rig.projector.size_px)
+    phases = {}
+    for code in layout.codes:
+        position = np.where(mask, gray_positions(images, code, layout, 2), np.nan).astype(np.float32)
+        sigma = np.full(position.shape, CELL_PX / np.sqrt(12), np.float32)
+        phases[code.axis] = PhaseMap(code.axis, position, sigma, np.zeros(position.shape, np.uint16))
+    return intersect(phases, "v", rig.cameras["A"], rig.projector, 2)
+
+
 def fit_plane(points):
     """Point and normal of the plane, and distances of points (N, 3); fitted without outliers."""
     use = np.ones(len(points), bool)
@@ -48,15 +60,9 @@ def fit_plane(points):
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_cell_centres_lie_on_the_board_within_their_quantisation(index):
     capture = load("procam_board", f"capture_{index}.json")
-    rig, images = capture.load_rig("A"), capture.read_images("A", 2)
-    layout = read_layouts(capture.manifest, "capture.json")[0]
+    rig = capture.load_rig("A")
     mask, corners = board(capture)
-    phases = {}
-    for code in layout.codes:
-        position = np.where(mask, gray_positions(images, code, layout, 2), np.nan).astype(np.float32)
-        sigma = np.full(position.shape, CELL_PX / np.sqrt(12), np.float32)
-        phases[code.axis] = PhaseMap(code.axis, position, sigma, np.zeros(position.shape, np.uint16))
-    found = intersect(phases, "v", rig.cameras["A"], rig.projector, 2)
+    found = cell_centres(capture, mask)
     known = np.isfinite(found.sigma_mm)
     assert known.sum() > 0.99 * mask.sum()
     points = found.points_sensor[known].astype(float)

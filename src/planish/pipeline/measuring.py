@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,12 +88,11 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
     own = options.organise_on
     cameras = cameras_needed(rig, capture.cameras, own, options.geometry, str(capture.path))
     views = _texture_views(options, cameras, str(capture.path))
-    layouts = read_layouts(
-        capture.manifest, str(capture.path), None if rig.projector is None else rig.projector.size_px
-    )
-    seen = _observe(capture, rig, cameras, options, threads)
-    seen = _straighten(seen, layouts[0], options.reject, threads)
-    located = _locate(seen, rig, layouts[0], capture.manifest.volume_mm, options, str(capture.path), threads)
+    exposures = _exposures(capture, rig)
+    layout = exposures[0].layout
+    seen = _observe(capture, exposures, rig, cameras, options, threads)
+    seen = _straighten(seen, layout, options.reject, threads)
+    located = _locate(seen, rig, layout, capture.manifest.volume_mm, options, str(capture.path), threads)
     rejected = reject_points(
         located.points,
         located.phase,
@@ -180,14 +179,32 @@ def _texture_views(options: MeasureOptions, cameras: tuple[str, ...], subject: s
     return views
 
 
+class _Exposure(NamedTuple):
+    time_ms: float
+    capture: Capture
+    layout: Layout
+
+
+def _exposures(capture: Capture, rig: Rig) -> list[_Exposure]:
+    projector_px = None if rig.projector is None else rig.projector.size_px
+    return [
+        _Exposure(time_ms, part, read_layouts(part.manifest, str(part.path), projector_px)[0])
+        for time_ms, part in split_exposures(capture)
+    ]
+
+
 def _observe(
-    capture: Capture, rig: Rig, cameras: tuple[str, ...], options: MeasureOptions, threads: int
+    capture: Capture,
+    exposures: Sequence[_Exposure],
+    rig: Rig,
+    cameras: tuple[str, ...],
+    options: MeasureOptions,
+    threads: int,
 ) -> Mapping[str, Observation]:
     masks = {name: capture.read_mask(name) for name in cameras}
     # One exposure's images at a time are in memory.
-    parts = split_exposures(capture)
-    each = [_observe_exposure(part, rig, cameras, options, threads) for _, part in parts]
-    times = [exposure for exposure, _ in parts]
+    each = [_observe_exposure(exposure, rig, cameras, options, threads) for exposure in exposures]
+    times = [exposure.time_ms for exposure in exposures]
     seen = {name: merge_exposures([item[name] for item in each], times) for name in cameras}
     for name, mask in masks.items():
         if mask is not None:
@@ -197,10 +214,9 @@ def _observe(
 
 
 def _observe_exposure(
-    capture: Capture, rig: Rig, cameras: tuple[str, ...], options: MeasureOptions, threads: int
+    exposure: _Exposure, rig: Rig, cameras: tuple[str, ...], options: MeasureOptions, threads: int
 ) -> Mapping[str, Observation]:
-    projector_px = None if rig.projector is None else rig.projector.size_px
-    (layout,) = read_layouts(capture.manifest, str(capture.path), projector_px)
+    _, capture, layout = exposure
     with ImageReader(capture, cameras, threads) as reader:
 
         def take(name: str) -> list[GreyImage]:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from planish.measurement import REJECTIONS, Map, Measurement
+from planish.measurement import REJECTIONS, Map, Measurement, count_reasons
 from planish.report.style import INK, rgb, save_bytes
 
 #: One colour per reason. Found by maximising the least distance of any two, and from greys, in CIE Lab, for normal
@@ -53,9 +53,9 @@ def decisive_reason(measurement: Measurement) -> NDArray[np.int8]:
 
 def rejection_shares(measurement: Measurement) -> dict[str, float]:
     """Return the share of all pixels that hold a point ("valid"), and that of every decisive reason."""
-    count = np.bincount(decisive_reason(measurement).ravel() + 1, minlength=len(REJECTIONS) + 1)
-    shares = count / measurement.rejected.size
-    return {"valid": float(shares[0]), **{name: float(shares[k + 1]) for k, name in enumerate(REJECTIONS)}}
+    counts, pixels = count_reasons(measurement.rejected), measurement.rejected.size
+    shares = {name: count / pixels for name, count in counts.items()}
+    return {"valid": (pixels - sum(counts.values())) / pixels, **shares}
 
 
 def why_picture(measurement: Measurement) -> Picture:

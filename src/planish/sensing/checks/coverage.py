@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.errors import InputError
-from planish.measurement import REJECTIONS, Finding
+from planish.measurement import Finding, count_reasons
 
 #: A capture with fewer points than this share of the pixels that show patterns is worth a warning.
 FEW_SHARE = 0.2
@@ -62,20 +62,9 @@ def check_coverage(rejected: NDArray[np.uint16], subject: str) -> Finding:
 
 def _shares(rejected: NDArray[np.uint16]) -> tuple[dict[str, int], float, int]:
     """Return the counts per reason, the share of the lit pixels that are valid, and the number of all pixels."""
-    reasons, pixels = _counts(rejected), rejected.size
+    reasons, pixels = {name: count for name, count in count_reasons(rejected).items() if count}, rejected.size
     lit = pixels - reasons.get("dark", 0) - reasons.get("masked", 0)
     return reasons, (pixels - sum(reasons.values())) / max(lit, 1), pixels
-
-
-def _counts(rejected: NDArray[np.uint16]) -> dict[str, int]:
-    # Each pixel counts for its first reason. Sixteen bits: a table of all values instead of a pass per reason.
-    table = np.bincount(rejected.ravel(), minlength=1 << len(REJECTIONS))
-    found: dict[str, int] = {}
-    for value in np.flatnonzero(table):
-        if value:
-            name = REJECTIONS[int(value & -value).bit_length() - 1]
-            found[name] = found.get(name, 0) + int(table[value])
-    return found
 
 
 def _text(reasons: dict[str, int], pixels: int) -> str:

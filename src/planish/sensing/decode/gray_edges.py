@@ -71,8 +71,9 @@ def decode_gray_edges(
     neighbours are alike over the distance of the edges: `PhaseMap.local_mean_gain`.
     """
     assert code.gray is not None
-    gray = _usable_bits(images, code.gray, layout, subject)
-    along_columns = _crosses_columns(images, gray, layout)
+    signals, bright = _samples(images, code.gray, layout)
+    gray = _usable_bits(code.gray, signals, bright, subject)
+    along_columns = _crosses_columns(signals[: len(gray.images)], bright)
     wanted, index = _selected(gray, layout)
     selected: list[NDArray[Any]] = [images[i] for i in wanted]
     if along_columns:
@@ -147,9 +148,8 @@ def _samples(
     return np.array(signals), high - low >= np.median(high - low)
 
 
-def _usable_bits(images: Sequence[GreyImage], gray: GrayCode, layout: Layout, subject: str) -> GrayCode:
+def _usable_bits(gray: GrayCode, signals: NDArray[np.float64], bright: NDArray[np.bool_], subject: str) -> GrayCode:
     # A Gray code without its last bits is the Gray code of cells twice, four times ... as long.
-    signals, bright = _samples(images, gray, layout)
     strength = [float(np.quantile(np.abs(signal[bright]), 0.75)) for signal in signals]
     dropped = 0
     while dropped < len(strength) and strength[len(strength) - 1 - dropped] < MIN_SIGNAL:
@@ -164,9 +164,8 @@ def _usable_bits(images: Sequence[GreyImage], gray: GrayCode, layout: Layout, su
     return replace(gray, cell_px=gray.cell_px * 2**dropped, images=gray.images[:kept], inverse=gray.inverse[:kept])
 
 
-def _crosses_columns(images: Sequence[GreyImage], gray: GrayCode, layout: Layout) -> bool:
+def _crosses_columns(signals: NDArray[np.float64], bright: NDArray[np.bool_]) -> bool:
     """Whether the position changes more along the columns of the image than along its rows."""
-    signals, bright = _samples(images, gray, layout)
     lit = signals > 0
     turns = [
         sum(int((np.diff(bit, axis=axis) & np.take(bright, range(1, bright.shape[axis]), axis)).sum()) for bit in lit)
