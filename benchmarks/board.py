@@ -15,9 +15,11 @@ import numpy as np
 from planish.pipeline import measure
 from render_tables import ROOT, save_table
 
-sys.path.insert(0, str(ROOT / "tests" / "real"))
-from captures import load, robust_spread
+sys.path.extend([str(ROOT / "tests"), str(ROOT / "tests" / "real")])
+from captures import load
 from test_board import board, cell_centres, fit_plane
+
+from spread import robust_spread
 
 
 def main() -> None:

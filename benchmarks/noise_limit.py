@@ -20,7 +20,7 @@ from planish.sensing.capture.sequence import read_layouts
 from points import spread
 from render_tables import ROOT, save_table
 
-sys.path.insert(0, str(ROOT / "tests" / "real"))
+sys.path.extend([str(ROOT / "tests"), str(ROOT / "tests" / "real")])
 from captures import load, measured
 from test_ball import CENTER_PX, RADIUS_PX
 from test_steel import PATCHES

@@ -60,7 +60,7 @@ def simulated(name: str, seeds: list[int]) -> dict[str, float | int | str]:
 
 def real_rows() -> list[dict[str, float | int | str]]:
     """Form errors of the real captures, where they are present."""
-    sys.path.insert(0, str(ROOT / "tests" / "real"))
+    sys.path.extend([str(ROOT / "tests"), str(ROOT / "tests" / "real")])
     from captures import HERE, measured, plane_spread
     from test_steel import PATCHES
 

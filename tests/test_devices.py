@@ -17,6 +17,7 @@ from planish.rig import Rig
 from planish.sensing.capture.manifest import Capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
+from spread import robust_spread
 
 #: What the issue asks for.
 SEEN_SHARE, SPREAD, FAR_SHARE = 0.95, 0.10, 1e-4
@@ -63,10 +64,6 @@ def normalised(m, folder):
     true = truth(folder, m.organised_on)
     error = np.linalg.norm(m.points_sensor - center, axis=-1) - np.linalg.norm(true - center, axis=-1)
     return error / m.sigma_mm
-
-
-def robust_spread(values):
-    return 1.4826 * np.median(np.abs(values - np.median(values)))
 
 
 def check(m, folder, where=True):

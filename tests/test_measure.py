@@ -12,6 +12,7 @@ from planish.pipeline import MeasureOptions, measure
 from planish.sensing.capture.manifest import Capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
+from spread import robust_spread
 
 #: What the issue asks for.
 SEEN_SHARE = 0.90
@@ -31,10 +32,6 @@ def simulate(folder, scene, **options):
 def along_ray(measurement: Measurement, truth):
     center = measurement.camera.center_sensor
     return np.linalg.norm(measurement.points_sensor - center, axis=-1) - np.linalg.norm(truth - center, axis=-1)
-
-
-def robust_spread(values):
-    return 1.4826 * np.median(np.abs(values - np.median(values)))
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 from planish.measurement import Measurement
 from planish.pipeline import MeasureOptions, measure
 from planish.sensing.capture.manifest import Capture
+from spread import robust_spread
 
 HERE = Path(__file__).parent
 
@@ -23,10 +24,6 @@ def load(name: str, manifest: str = "capture.json") -> Capture:
 
 def measured(name: str, **options) -> Measurement:
     return measure(load(name), MeasureOptions(**options), 2)
-
-
-def robust_spread(values) -> float:
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
 def plane_spread(points) -> float:

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
-from captures import measured, robust_spread
+from captures import measured
 from scipy.optimize import least_squares
+
+from spread import robust_spread
 
 #: Figures of the data's README and of the issue.
 POINTS, DISC_SHARE, SPHERE_MM, FARTHEST_MM = 450_000, 0.97, 0.0085, 0.1

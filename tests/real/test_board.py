@@ -7,13 +7,14 @@ both axes agree, and the squares come out right. Its author states a reprojectio
 import cv2
 import numpy as np
 import pytest
-from captures import load, robust_spread
+from captures import load
 
 from planish.pipeline import measure
 from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.decode import PhaseMap
 from planish.sensing.decode.gray import gray_positions
 from planish.sensing.points.projector import intersect
+from spread import robust_spread
 
 CORNERS, SQUARE = (9, 7), 75.0
 WHITE, BLACK, LIT_LEVELS = 40, 41, 20
