@@ -6,7 +6,7 @@ import pytest
 
 from planish.errors import InputError
 from planish.geometry import exp_so3
-from planish.sensing.capture.opencv_rig import read_opencv_rig
+from planish.rig.opencv import read_opencv_rig
 
 K_CAMERA = np.array([[3452.4, 0, 587.2], [0, 3449.9, 521.4], [0, 0, 1]])
 K_PROJECTOR = np.array([[3953.7, 0, 737.2], [0, 3893.3, 1357.8], [0, 0, 1]])

@@ -11,8 +11,8 @@ import pytest
 
 from planish.geometry import invert, rotation_angle, transform_points
 from planish.pipeline import MeasureOptions, measure, register
+from planish.rig.opencv import read_opencv_rig
 from planish.sensing.capture.manifest import Capture
-from planish.sensing.capture.opencv_rig import read_opencv_rig
 
 IMAGES = Path(__file__).resolve().parents[3] / "shared" / "data" / "steel_corner_shiftline"
 MANIFEST = Path(__file__).parent / "steel_corner_shiftline" / "capture.json"

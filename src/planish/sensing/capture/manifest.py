@@ -17,8 +17,8 @@ from planish import storage
 from planish.errors import InputError
 from planish.options import Strict, thread_count
 from planish.rig import Rig
+from planish.rig.opencv import read_opencv_rig
 from planish.sensing.capture.images import GreyImage, describe, read_grey
-from planish.sensing.capture.opencv_rig import read_opencv_rig
 from planish.sensing.patterns.entries import Entry
 
 SCHEMA = "planish.capture/1"

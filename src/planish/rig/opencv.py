@@ -13,7 +13,8 @@ import numpy as np
 
 from planish.errors import InputError
 from planish.geometry import Array, compose, require_array
-from planish.rig import Camera, Rig
+from planish.rig.camera import Camera
+from planish.rig.rig import Rig
 
 #: Names in use for each matrix, the first that is found counts. "roration" is what a tool in use writes.
 _STEREO = {

@@ -1,0 +1,6 @@
+"""The calibration: cameras and projector, the covariance of their parameters, and its files."""
+
+from planish.rig.camera import Camera
+from planish.rig.rig import Rig
+
+__all__ = ["Camera", "Rig"]

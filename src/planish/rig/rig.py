@@ -1,0 +1,142 @@
+"""The rig: cameras and projector with their calibration, and its file `rig.json` (schema planish.rig/1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from planish import storage
+from planish.errors import InputError
+from planish.geometry import Array, invert, require_array
+from planish.options import Strict
+from planish.rig.camera import Camera
+
+SCHEMA = "planish.rig/1"
+#: Rounding that a covariance in a file may carry, relative to its largest element.
+COVARIANCE_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class Rig:
+    """Cameras by name ("A", optionally "B"), an optional projector, and the covariance of their parameters.
+
+    Parameters
+    ----------
+    cameras : dict of Camera
+        "A" is always present.
+    projector : Camera or None
+        The projector, as a camera with the rays reversed.
+    covariance : ndarray (n, n) or None
+        Covariance of the parameters named in `covariance_parameters`, in that order.
+    covariance_parameters : tuple of str
+        For example "A.fx", "B.k1", "B.rotation_x" [rad], "projector.translation_z" [mm].
+    """
+
+    cameras: dict[str, Camera]
+    projector: Camera | None = None
+    covariance: Array | None = None
+    covariance_parameters: tuple[str, ...] = ()
+
+    def other(self, name: str) -> str | None:
+        """Return the name of the camera that is not `name`, or None."""
+        return next((key for key in self.cameras if key != name), None)
+
+    def in_frame_of(self, camera: str) -> Rig:
+        """Return the same rig with the frame of one of its cameras as sensor frame."""
+        T_sensor_camera = invert(self.cameras[camera].T_camera_sensor)
+
+        def move(item: Camera) -> Camera:
+            return replace(item, T_camera_sensor=item.T_camera_sensor @ T_sensor_camera)
+
+        cameras = {name: move(item) for name, item in self.cameras.items()}
+        cameras[camera] = replace(cameras[camera], T_camera_sensor=np.eye(4))
+        return replace(self, cameras=cameras, projector=None if self.projector is None else move(self.projector))
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the content of `rig.json`."""
+        covariance = None
+        if self.covariance is not None:
+            covariance = {"parameters": list(self.covariance_parameters), "matrix": self.covariance.tolist()}
+        return {
+            "schema": SCHEMA,
+            "units": "mm",
+            "cameras": {name: camera.to_json("camera") for name, camera in self.cameras.items()},
+            "projector": None if self.projector is None else self.projector.to_json("projector"),
+            "covariance": covariance,
+        }
+
+    @classmethod
+    def from_json(cls, content: dict[str, Any], subject: str = "rig") -> Rig:
+        """Return the rig described by the content of a `rig.json`; errors name `subject`."""
+        return _RigFile.parse(content, subject).to_rig(subject)
+
+    def save(self, path: Path) -> None:
+        """Write `rig.json`."""
+        storage.write_json(Path(path), self.to_json())
+
+    @classmethod
+    def load(cls, path: Path) -> Rig:
+        """Read `rig.json`; errors name the file."""
+        return cls.from_json(storage.read_json(Path(path)), str(path))
+
+
+class _CameraFile(Strict):
+    K: list[list[float]]
+    distortion: list[float] = Field(default_factory=list)
+    size_px: tuple[int, int]
+    T_camera_sensor: list[list[float]]
+
+
+class _ProjectorFile(Strict):
+    K: list[list[float]]
+    distortion: list[float] = Field(default_factory=list)
+    size_px: tuple[int, int]
+    T_projector_sensor: list[list[float]]
+
+
+class _CamerasFile(Strict):
+    A: _CameraFile
+    B: _CameraFile | None = None
+
+
+class _CovarianceFile(Strict):
+    parameters: list[str] = Field(min_length=1)
+    matrix: list[list[float]]
+
+    def checked(self, subject: str) -> tuple[Array, tuple[str, ...]]:
+        n = len(self.parameters)
+        expected = f"a symmetric, positive semidefinite matrix ({n}, {n}), one row per name in 'parameters'"
+        matrix = require_array(self.matrix, (n, n), f"{subject}.matrix", expected)
+        slack = COVARIANCE_TOLERANCE * np.abs(matrix).max()
+        if np.abs(matrix - matrix.T).max() > slack or np.linalg.eigvalsh(matrix).min() < -slack:
+            raise InputError(f"{subject}.matrix", "found a matrix that is no covariance", expected)
+        if len(set(self.parameters)) != n:
+            raise InputError(f"{subject}.parameters", "found a name twice", "each name once")
+        return matrix, tuple(self.parameters)
+
+
+class _RigFile(Strict):
+    schema_: Literal["planish.rig/1"] = Field(alias="schema")
+    units: Literal["mm"] = "mm"
+    cameras: _CamerasFile
+    projector: _ProjectorFile | None = None
+    covariance: _CovarianceFile | None = None
+
+    def to_rig(self, subject: str) -> Rig:
+        cameras = {
+            name: Camera.make(item.K, item.distortion, item.size_px, item.T_camera_sensor, f"{subject}: {name}")
+            for name, item in (("A", self.cameras.A), ("B", self.cameras.B))
+            if item is not None
+        }
+        projector = None
+        if (item := self.projector) is not None:
+            projector = Camera.make(
+                item.K, item.distortion, item.size_px, item.T_projector_sensor, f"{subject}: projector"
+            )
+        if self.covariance is None:
+            return Rig(cameras, projector)
+        return Rig(cameras, projector, *self.covariance.checked(f"{subject}: covariance"))
