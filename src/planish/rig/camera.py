@@ -84,7 +84,7 @@ class Camera:
         points = np.asarray(points_sensor, float)
         x = points.reshape(-1, 3) @ self.T_camera_sensor[:3, :3].T + self.T_camera_sensor[:3, 3]
         x[~(x[:, 2] > 0)] = np.nan
-        d = self._distort(x[:, :2] / x[:, 2:])
+        d = self.distort(x[:, :2] / x[:, 2:])
         u = self.K[0, 0] * d[:, 0] + self.K[0, 1] * d[:, 1] + self.K[0, 2]
         pixels = np.stack([u, self.K[1, 1] * d[:, 1] + self.K[1, 2]], -1)
         return pixels.reshape(*points.shape[:-1], 2)
@@ -98,7 +98,8 @@ class Camera:
         directions = np.column_stack([normalised, np.ones(len(normalised))]) @ self.T_camera_sensor[:3, :3]
         return directions.reshape(*np.shape(pixels)[:-1], 3)
 
-    def _distort(self, n: Array) -> Array:
+    def distort(self, n: Array) -> Array:
+        """Return distorted directions (N, 2) of directions (N, 2) = (x / z, y / z) in the camera's frame."""
         # OpenCV calib3d, "Detailed Description": radial (rational), tangential and thin-prism terms.
         k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self.distortion
         r2 = (n**2).sum(1)
@@ -113,18 +114,19 @@ class Camera:
         n = distorted.copy()
         with np.errstate(all="ignore"):
             for _ in range(UNDISTORT_ITERATIONS):
-                residual = distorted - self._distort(n)
+                residual = distorted - self.distort(n)
                 left = np.abs(residual).max(1) > UNDISTORT_TOLERANCE
                 if not left.any():
                     return n
-                J, r = self._distortion_jacobian(n[left]), residual[left]
+                J, r = self.distortion_jacobian(n[left]), residual[left]
                 step = np.stack([J[3] * r[:, 0] - J[1] * r[:, 1], J[0] * r[:, 1] - J[2] * r[:, 0]], -1)
                 n[left] += step / (J[0] * J[3] - J[1] * J[2])[:, None]
         n[left] = np.nan
         return n
 
-    def _distortion_jacobian(self, n: Array) -> Array:
-        # Derivative of _distort, row by row (4, N); `slope` is d radial / d r2.
+    def distortion_jacobian(self, n: Array) -> Array:
+        """Return the derivative of `distort` at directions (N, 2), row by row (4, N)."""
+        # `slope` is d radial / d r2.
         k1, k2, p1, p2, k3, k4, k5, k6, s1, s2, s3, s4 = self.distortion
         x, y = n.T
         r2 = x * x + y * y

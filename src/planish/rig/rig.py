@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field
 
 from planish import storage
@@ -14,10 +16,13 @@ from planish.errors import InputError
 from planish.geometry import Array, invert, require_array
 from planish.options import Strict
 from planish.rig.camera import Camera
+from planish.rig.parameters import PROJECTOR, change_camera, covariance_in_frame, selection, split_name
 
 SCHEMA = "planish.rig/1"
 #: Rounding that a covariance in a file may carry, relative to its largest element.
 COVARIANCE_TOLERANCE = 1e-9
+#: Share of the largest eigenvalue below which a mode of the covariance is rounding.
+MODE_SHARE = 1e-14
 
 
 @dataclass(frozen=True)
@@ -45,8 +50,13 @@ class Rig:
         """Return the name of the camera that is not `name`, or None."""
         return next((key for key in self.cameras if key != name), None)
 
+    @property
+    def devices(self) -> dict[str, Camera]:
+        """Cameras and projector by the names that parameters begin with."""
+        return {**self.cameras, **({} if self.projector is None else {PROJECTOR: self.projector})}
+
     def in_frame_of(self, camera: str) -> Rig:
-        """Return the same rig with the frame of one of its cameras as sensor frame."""
+        """Return the same rig with the frame of one of its cameras as sensor frame; its covariance goes with it."""
         T_sensor_camera = invert(self.cameras[camera].T_camera_sensor)
 
         def move(item: Camera) -> Camera:
@@ -54,7 +64,35 @@ class Rig:
 
         cameras = {name: move(item) for name, item in self.cameras.items()}
         cameras[camera] = replace(cameras[camera], T_camera_sensor=np.eye(4))
-        return replace(self, cameras=cameras, projector=None if self.projector is None else move(self.projector))
+        moved = replace(self, cameras=cameras, projector=None if self.projector is None else move(self.projector))
+        if self.covariance is None:
+            return moved
+        places = {name: item.T_camera_sensor for name, item in self.devices.items()}
+        covariance, names = covariance_in_frame(self.covariance, self.covariance_parameters, places, camera)
+        return replace(moved, covariance=covariance, covariance_parameters=names)
+
+    def changed(self, change: ArrayLike, names: Sequence[str] | None = None) -> Rig:
+        """Return the rig with the named parameters (default: those of the covariance) changed by `change` (n,)."""
+        names = self.covariance_parameters if names is None else names
+        values = require_array(change, (len(names),), "change", f"{len(names)} numbers, one per parameter")
+        picks = selection(names, tuple(self.devices))
+        devices = {name: change_camera(item, picks[name] @ values) for name, item in self.devices.items()}
+        projector = devices.pop(PROJECTOR, None)
+        return replace(self, cameras=devices, projector=projector)
+
+    def modes(self) -> Array:
+        """Return the changes (k, n) of the covariance's parameters whose outer products add up to the covariance.
+
+        They are its eigenvectors times the roots of its eigenvalues, after scaling to unit variances: parameters
+        differ by many orders of magnitude. Those without any weight are left out.
+        """
+        if self.covariance is None:
+            return np.empty((0, 0))
+        sigma = np.sqrt(np.diag(self.covariance))
+        scale = np.where(sigma > 0, sigma, 1.0)
+        values, vectors = np.linalg.eigh(self.covariance / np.outer(scale, scale))
+        used = values > MODE_SHARE * max(float(values.max(initial=0.0)), MODE_SHARE)
+        return np.asarray((vectors[:, used] * np.sqrt(values[used])).T * scale)
 
     def to_json(self) -> dict[str, Any]:
         """Return the content of `rig.json`."""
@@ -139,4 +177,7 @@ class _RigFile(Strict):
             )
         if self.covariance is None:
             return Rig(cameras, projector)
-        return Rig(cameras, projector, *self.covariance.checked(f"{subject}: covariance"))
+        rig = Rig(cameras, projector, *self.covariance.checked(f"{subject}: covariance"))
+        for name in rig.covariance_parameters:
+            split_name(name, tuple(rig.devices), f"{subject}: covariance.parameters")
+        return rig
