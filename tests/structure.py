@@ -25,7 +25,7 @@ LAYERS = (
 #: The simulator must not share code with what it tests: of `sensing` it may know the patterns and the manifest.
 SIMULATION_MAY_IMPORT = (
     "_core", "errors", "options", "geometry", "storage", "rig", "measurement",
-    "sensing.patterns", "sensing.capture.manifest", "simulation",
+    "sensing.patterns", "sensing.capture.manifest", "sensing.capture.board", "simulation",
 )  # fmt: skip
 MAY_IMPORT_SIMULATION = ("simulation", "cli")
 

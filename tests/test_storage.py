@@ -14,6 +14,7 @@ from planish import storage
 from planish.errors import InputError
 from planish.measurement import SCHEMA, Measurement, NoiseModel, View
 from planish.rig import Camera, Rig
+from planish.rig.parameters import DEVICE_PARAMETERS
 
 HEIGHT, WIDTH = 30, 40
 
@@ -120,8 +121,11 @@ def test_every_kind_of_field_survives(tmp_path_factory, text, number, array, wei
 
 
 def test_a_large_rig_covariance_fits_into_the_file(tmp_path):
-    names = tuple(f"A.parameter_{i}" for i in range(80))
-    rig = replace(make_measurement().rig, covariance=np.diag(np.linspace(0.1, 1 / 3, 80)), covariance_parameters=names)
+    rig = make_measurement().rig
+    rig = replace(rig, cameras={name: rig.cameras["A"] for name in ("A", "B")}, projector=rig.cameras["A"])
+    names = tuple(f"{device}.{name}" for device in rig.devices for name in DEVICE_PARAMETERS)
+    covariance = np.full((len(names), len(names)), 1 / 3) + np.diag(np.linspace(0.1, 1 / 3, len(names)))
+    rig = replace(rig, covariance=covariance, covariance_parameters=names)
     replace(make_measurement(), rig=rig).save(tmp_path / "m.h5")
     np.testing.assert_array_equal(Measurement.load(tmp_path / "m.h5").rig.covariance, rig.covariance)
 

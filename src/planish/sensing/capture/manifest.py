@@ -39,11 +39,15 @@ class Images(Strict):
 
 
 class Manifest(Strict):
-    """Content of `capture.json`. `rig` names a planish rig.json, or the YAML or XML files of an OpenCV calibration."""
+    """Content of `capture.json`.
+
+    `rig` names a planish rig.json, or the YAML or XML files of an OpenCV calibration. Captures that are to calibrate
+    have none yet.
+    """
 
     schema_: Literal["planish.capture/1"] = Field(alias="schema")
     name: str | None = Field(default=None, min_length=1, pattern=r"^[^/\\]+$")
-    rig: str | list[str]
+    rig: str | list[str] | None = None
     images: Images
     sequence: list[Entry] = Field(min_length=1)
     projector_px: tuple[PositiveInt, PositiveInt] | None = None
@@ -84,6 +88,8 @@ class Capture:
 
     def load_rig(self, organise_on: str) -> Rig:
         """Return the rig; one imported from OpenCV files gets the frame of the organising camera as sensor frame."""
+        if self.manifest.rig is None:
+            raise InputError(self.path, "names no rig", "'rig', the file of the calibration")
         if isinstance(self.manifest.rig, str) and self.manifest.rig.endswith(".json"):
             return Rig.load(self._inside(self.manifest.rig, prefer=self.path.parent))
         names = [self.manifest.rig] if isinstance(self.manifest.rig, str) else self.manifest.rig

@@ -1,0 +1,1 @@
+"""From images of a board to a rig with the covariance of its parameters."""
