@@ -122,7 +122,7 @@ def test_every_kind_of_field_survives(tmp_path_factory, text, number, array, wei
 
 def test_a_large_rig_covariance_fits_into_the_file(tmp_path):
     rig = make_measurement().rig
-    rig = replace(rig, cameras={name: rig.cameras["A"] for name in ("A", "B")}, projector=rig.cameras["A"])
+    rig = replace(rig, cameras=dict.fromkeys(("A", "B"), rig.cameras["A"]), projector=rig.cameras["A"])
     names = tuple(f"{device}.{name}" for device in rig.devices for name in DEVICE_PARAMETERS)
     covariance = np.full((len(names), len(names)), 1 / 3) + np.diag(np.linspace(0.1, 1 / 3, len(names)))
     rig = replace(rig, covariance=covariance, covariance_parameters=names)
