@@ -176,7 +176,8 @@ def fault_row(fault: str) -> dict[str, object]:
         nees.append(float(error @ np.linalg.solve(found.rig.covariance, error)) / len(error))
     return {
         "fault": fault, "quantity": quantity, "true": true, "value": float(np.mean(values)),
-        "spread": float(np.std(values, ddof=1)), "sigma": float(np.mean(sigmas)), "reported": 100 * float(np.mean(warned)),
+        "spread": float(np.std(values, ddof=1)), "sigma": float(np.mean(sigmas)),
+        "reported": 100 * float(np.mean(warned)),
         "nees": float(np.mean(nees)),
     }  # fmt: skip
 
