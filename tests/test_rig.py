@@ -199,7 +199,7 @@ def write_opencv(path, **matrices):
 def test_an_opencv_calibration_maps_points_of_the_left_camera_into_the_right(tmp_path):
     R, t = geometry.exp_so3([0.01, 0.2, 0.0]), np.array([[-217.0], [1.0], [20.0]])
     intrinsic = write_opencv(tmp_path / "in.yml", M1=K, D1=np.zeros((1, 5)), M2=K, D2=[[-0.1, 0, 0, 0, 0]])
-    rig = read_opencv_rig([intrinsic, write_opencv(tmp_path / "ex.yml", R=R, T=t)], SIZE_PX)
+    rig = read_opencv_rig([intrinsic, write_opencv(tmp_path / "ex.yml", R=R, T=t)], SIZE_PX).rig
     np.testing.assert_array_equal(rig.cameras["A"].T_camera_sensor, np.eye(4))
     x = np.array([10.0, 20.0, 900.0])
     np.testing.assert_allclose(

@@ -57,6 +57,8 @@ class Rig:
 
     def in_frame_of(self, camera: str) -> Rig:
         """Return the same rig with the frame of one of its cameras as sensor frame; its covariance goes with it."""
+        if camera not in self.cameras:
+            raise InputError("frame", f"found '{camera}'", f"a camera of the rig: {', '.join(self.cameras)}")
         T_sensor_camera = invert(self.cameras[camera].T_camera_sensor)
 
         def move(item: Camera) -> Camera:
