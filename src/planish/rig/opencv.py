@@ -48,12 +48,12 @@ _PROJECTOR = {
     "T": ("translation", "T"),
 }
 #: As OpenCV's own calibration sample writes it.
-_CAMERA = {
+_CAMERA: dict[str, tuple[str, ...]] = {
     "K_A": ("camera_matrix", "cameraMatrix", "cam_int", "cam_K"),
     "distortion_A": ("distortion_coefficients", "distCoeffs", "cam_dist", "cam_kc"),
 }
 #: Sizes as (width, height), by device; "S" is what a tool in use writes.
-_SIZES = {
+_SIZES: dict[str, tuple[str, ...]] = {
     "A": ("imageSize", "image_size", "S"),
     "B": ("imageSize2",),
     PROJECTOR: ("projectorSize",),
