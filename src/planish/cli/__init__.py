@@ -17,6 +17,7 @@ from planish.errors import InputError
 COMMANDS: tuple[str, ...] = (
     "patterns",
     "simulate",
+    "simulate_board",
     "measure",
     "import_cloud",
     "convert_rig",
