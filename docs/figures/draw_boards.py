@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 
 from draw_conventions import BLUE, FAINT, INK, RED, Drawing
-
 from planish.sensing.capture.board import Board, board_points, parse_board
 
 SCHEMA = "planish.board/1"

@@ -36,6 +36,14 @@ class ImportedRig(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
+def to_size(width_height: Array) -> Size | None:
+    """Return the two numbers of an array of any shape as a size, or None where they are none."""
+    numbers = np.ravel(width_height)
+    if numbers.size != 2 or not np.isfinite(numbers).all() or numbers.min() < 1:
+        return None
+    return int(numbers[0]), int(numbers[1])
+
+
 def size_of(name: str, found: Size | None, given: Size | None, subject: str, option: str) -> Size:
     """Return the size of a device that its file tells or the caller gives.
 

@@ -9,7 +9,8 @@ from typing import Literal
 
 from planish.errors import InputError
 from planish.rig.exchange import ImportedRig, Size
-from planish.rig.matlab import read_matlab_rig, write_matlab_rig
+from planish.rig.matlab import read_matlab_rig
+from planish.rig.matlab_export import write_matlab_rig
 from planish.rig.opencv import read_opencv_rig, write_opencv_rig
 from planish.rig.rig import Rig
 

@@ -12,8 +12,7 @@ PoseCamera2) and toStruct of both; "Image Coordinate Systems" (centre of the fir
 
 from __future__ import annotations
 
-import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,23 +21,12 @@ import numpy as np
 from planish.errors import InputError
 from planish.geometry import Array, compose, require_array
 from planish.rig.camera import Camera
-from planish.rig.exchange import (
-    ImportedRig,
-    Size,
-    device_text,
-    devices_to_write,
-    losses,
-    relative_transform,
-    size_of,
-    used_coefficients,
-)
+from planish.rig.exchange import ImportedRig, Size, size_of, to_size
 from planish.rig.mat_file import MatlabObject, Value, read_mat_file
-from planish.rig.parameters import DISTORTION, PROJECTOR
 from planish.rig.rig import Rig
-from planish.storage import replacing
 
 #: Of stereoParameters.
-_CAMERAS = ("CameraParameters1", "CameraParameters2")
+CAMERAS = ("CameraParameters1", "CameraParameters2")
 #: Millimetres per unit; WorldUnits is free text, the app writes the plurals.
 _MM = {
     1.0: ("mm", "millimeter", "millimeters", "millimetre", "millimetres"),
@@ -47,12 +35,9 @@ _MM = {
     25.4: ("in", "inch", "inches"),
 }
 #: (1, 1) is the centre of MATLAB's first pixel, (0, 0) ours.
-_ORIGIN = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+ORIGIN = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
 #: Numbers of radial coefficients: k1 k2, k1 k2 k3, or (recent releases) k1 ... k6 of the rational model.
 _RADIAL = (2, 3, 6)
-#: Text at the head of a MAT-file; SciPy's own holds the time.
-_HEADER = b"MATLAB 5.0 MAT-file, written by planish"
-_HEADER_LENGTH = 116
 
 
 def read_matlab_rig(path: Path, size_px: Size | None = None, variable: str | None = None) -> ImportedRig:
@@ -76,94 +61,22 @@ def read_matlab_rig(path: Path, size_px: Size | None = None, variable: str | Non
     name, content = _choose(read_mat_file(path), variable, path)
     subject = f"{path}: {name}"
     notes = [f"the struct '{name}'; pixel centres start at (1, 1): principal points moved by -1 px"]
-    if _CAMERAS[0] not in content:
+    if CAMERAS[0] not in content:
         notes.append(_matrix_note(content))
         return ImportedRig(Rig({"A": _camera(content, np.eye(4), size_px, subject)}), "MATLAB", tuple(notes))
-    first, second = (_struct(content[key], f"{subject}.{key}") for key in _CAMERAS)
-    unit, scale = _unit(first, f"{subject}.{_CAMERAS[0]}")
-    if _unit(second, f"{subject}.{_CAMERAS[1]}")[1] != scale:
+    first, second = (_struct(content[key], f"{subject}.{key}") for key in CAMERAS)
+    unit, scale = _unit(first, f"{subject}.{CAMERAS[0]}")
+    if _unit(second, f"{subject}.{CAMERAS[1]}")[1] != scale:
         raise InputError(subject, "WorldUnits of the two cameras differ", "one unit")
     T, note = _camera_2(content, scale, subject)
     notes += [_matrix_note(first), note]
     if scale != 1:
         notes.append(f"WorldUnits is '{unit}': lengths times {scale:g}")
     cameras = {
-        "A": _camera(first, np.eye(4), size_px, f"{subject}.{_CAMERAS[0]}"),
-        "B": _camera(second, T, size_px, f"{subject}.{_CAMERAS[1]}"),
+        "A": _camera(first, np.eye(4), size_px, f"{subject}.{CAMERAS[0]}"),
+        "B": _camera(second, T, size_px, f"{subject}.{CAMERAS[1]}"),
     }
     return ImportedRig(Rig(cameras), "MATLAB", tuple(notes))
-
-
-def write_matlab_rig(rig: Rig, path: Path, devices: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Write a struct that MATLAB turns into its object, and return what of the rig is not in it, or only for some.
-
-    Two cameras are the variable `stereoParams`, one is `cameraParams`; in MATLAB
-
-        s = load('rig.mat');
-        stereoParams = stereoParameters(s.stereoParams);   % or cameraParameters(s.cameraParams)
-
-    Parameters
-    ----------
-    rig : Rig
-        The rig.
-    path : Path
-        The file (.mat, version 5).
-    devices : sequence of str or None
-        The one or two cameras to write; default: all.
-
-    Raises
-    ------
-    InputError
-        Where a projector is among the devices, or a camera has thin-prism distortion: MATLAB knows neither.
-    """
-    from scipy.io import savemat  # takes a third of a second to be imported
-
-    names = devices_to_write(rig, devices, path, "one or two cameras, for MATLAB knows no projector: A or A,B")
-    if PROJECTOR in names:
-        raise InputError(f"{path}: devices", "a projector", "cameras, for MATLAB knows no projector: A or A,B")
-    structs = [_to_struct(rig.devices[name], f"{path}: {device_text(name)}") for name in names]
-    content: dict[str, Any] = {"cameraParams": structs[0]}
-    if len(names) == 2:
-        T = relative_transform(rig, *names)
-        content = {
-            "stereoParams": {
-                **dict(zip(_CAMERAS, structs, strict=True)),
-                "RotationOfCamera2": T[:3, :3].T,
-                "TranslationOfCamera2": T[None, :3, 3],
-                "RectificationParams": {"Initialized": np.array([[False]])},
-            }
-        }
-    buffer = io.BytesIO()
-    savemat(buffer, content, oned_as="row")
-    data = _HEADER.ljust(_HEADER_LENGTH) + buffer.getvalue()[_HEADER_LENGTH:]
-    with replacing(Path(path)) as temporary:
-        temporary.write_bytes(data)
-    rational = [name for name in names if len(used_coefficients(rig.devices[name], (5, 8))) == 8]
-    needs = [
-        f"{device_text(name)}: rational distortion (k4 k5 k6): only recent releases of MATLAB take six radial terms"
-        for name in rational
-    ]
-    return (*losses(rig, names, "MATLAB"), *needs)
-
-
-def _to_struct(camera: Camera, subject: str) -> dict[str, Any]:
-    prism = [name for name, value in zip(DISTORTION[8:], camera.distortion[8:], strict=True) if value != 0]
-    if prism:
-        raise InputError(subject, f"has distortion {', '.join(prism)}", "radial and tangential terms only, as MATLAB")
-    k1, k2, p1, p2, *more = camera.distortion[:8]
-    radial = [k1, k2, *more]
-    count = 2 if not any(more) else 3 if not any(more[1:]) else 6
-    return {
-        "RadialDistortion": np.array([radial[:count]]),
-        "TangentialDistortion": np.array([[p1, p2]]),
-        "ImageSize": np.array([camera.size_px[::-1]], float),
-        "WorldUnits": "mm",
-        "EstimateSkew": np.array([[camera.K[0, 1] != 0]]),
-        "NumRadialDistortionCoefficients": float(count),
-        "EstimateTangentialDistortion": np.array([[p1 != 0 or p2 != 0]]),
-        # Every release reads it; those before R2022b do not know K, and none takes both.
-        "IntrinsicMatrix": (camera.K + _ORIGIN).T,
-    }
 
 
 def _choose(variables: Mapping[str, Value], variable: str | None, path: Path) -> tuple[str, Mapping[str, Value]]:
@@ -188,7 +101,7 @@ def _choose(variables: Mapping[str, Value], variable: str | None, path: Path) ->
 
 
 def _is_calibration(value: Mapping[str, Value]) -> bool:
-    return all(name in value for name in _CAMERAS) or any(name in value for name in ("K", "IntrinsicMatrix"))
+    return all(name in value for name in CAMERAS) or any(name in value for name in ("K", "IntrinsicMatrix"))
 
 
 def _refuse(name: str, value: Value, path: Path) -> None:
@@ -232,17 +145,13 @@ def _camera(content: Mapping[str, Value], T_camera_sensor: Array, size_px: Size 
         raise InputError(f"{subject}.RadialDistortion", f"found {len(radial)} coefficients", f"one of {_RADIAL}")
     tangential = np.ravel(_array(content, "TangentialDistortion", subject))
     tangential = require_array(tangential, (2,), f"{subject}.TangentialDistortion", "2 coefficients")
-    found = None
-    image_size = np.ravel(_array(content, "ImageSize", subject)) if "ImageSize" in content else np.empty(0)
-    if image_size.size == 2:
-        found = (int(image_size[1]), int(image_size[0]))
+    # [height, width], or empty.
+    found = to_size(np.ravel(_array(content, "ImageSize", subject))[::-1]) if "ImageSize" in content else None
     size = size_of("ImageSize", found, size_px, subject, "the size of the images (size_px, --size)")
     distortion = np.concatenate([radial[:2], tangential, radial[2:]])
     if len(distortion) == 4 + 4:  # k1 k2 p1 p2 k3 k4 k5 k6
-        return Camera.make(K - _ORIGIN, distortion, size, T_camera_sensor, subject)
-    return Camera.make(
-        K - _ORIGIN, np.append(distortion, np.zeros(5 - len(distortion))), size, T_camera_sensor, subject
-    )
+        return Camera.make(K - ORIGIN, distortion, size, T_camera_sensor, subject)
+    return Camera.make(K - ORIGIN, np.append(distortion, np.zeros(5 - len(distortion))), size, T_camera_sensor, subject)
 
 
 def _array(content: Mapping[str, Value], field: str, subject: str) -> Array:

@@ -23,6 +23,7 @@ from planish.rig.exchange import (
     losses,
     relative_transform,
     size_of,
+    to_size,
     used_coefficients,
 )
 from planish.rig.parameters import PROJECTOR
@@ -126,27 +127,24 @@ def write_opencv_rig(rig: Rig, path: Path, devices: Sequence[str] | None = None)
         Where the devices are no such choice, or a camera has skew, which OpenCV's functions ignore.
     """
     allowed = "one camera, or a camera and one more device: A,B or A,projector, each in a file of its own"
-    first, *others = names = devices_to_write(rig, devices, path, allowed)
-    second = others[0] if others else None
+    names = devices_to_write(rig, devices, path, allowed)
     for name in names:
         _refuse_skew(rig.devices[name], f"{path}: {device_text(name)}")
-    kind = _CAMERA if second is None else _PROJECTOR if second == PROJECTOR else _STEREO
+    kind = _CAMERA if len(names) == 1 else _PROJECTOR if names[1] == PROJECTOR else _STEREO
     suffix = ".xml" if Path(path).suffix.lower() == ".xml" else ".yml"
     out = cv2.FileStorage(suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
-    for name, part in ((first, "A"), (second, "B")):
-        if name is not None:
-            device = rig.devices[name]
-            out.write(kind[f"K_{part}"][0], device.K)
-            out.write(kind[f"distortion_{part}"][0], used_coefficients(device, _LENGTHS)[None])
-    if second is None:
-        for key, value in zip((_WIDTH, _HEIGHT), rig.devices[first].size_px, strict=True):
+    for name, part in zip(names, "AB", strict=False):
+        out.write(kind[f"K_{part}"][0], rig.devices[name].K)
+        out.write(kind[f"distortion_{part}"][0], used_coefficients(rig.devices[name], _LENGTHS)[None])
+    if kind is _CAMERA:
+        for key, value in zip((_WIDTH, _HEIGHT), rig.devices[names[0]].size_px, strict=True):
             out.write(key, value)
     else:
-        T = relative_transform(rig, first, second)
+        T = relative_transform(rig, *names)
         out.write(kind["R"][0], T[:3, :3])
         out.write(kind["T"][0], T[:3, 3:])
-        _write_size(out, _SIZES["A"][0], rig.devices[first].size_px)
-        _write_size(out, _SIZES[PROJECTOR if second == PROJECTOR else "B"][0], rig.devices[second].size_px)
+        for name, role in zip(names, ("A", PROJECTOR if kind is _PROJECTOR else "B"), strict=True):
+            _write_size(out, _SIZES[role][0], rig.devices[name].size_px)
     text = out.releaseAndGetString()
     with replacing(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -211,17 +209,16 @@ def _numbers(node: Any) -> Array | None:
 
 def _sizes(found: Mapping[str, Array]) -> dict[str, Size]:
     """Sizes by device, of those that the file tells."""
-    sizes: dict[str, Size] = {}
-    for device, names in _SIZES.items():
-        for name in names:
-            if device not in sizes and name in found and found[name].size == 2:
-                width, height = found[name].ravel()
-                sizes[device] = (int(width), int(height))
-    if _SHAPE in found and found[_SHAPE].size == 2:
-        height, width = found[_SHAPE].ravel()
-        sizes.setdefault("A", (int(width), int(height)))
+    told = [(device, found[name]) for device, names in _SIZES.items() for name in names if name in found]
+    if _SHAPE in found:
+        told.append(("A", found[_SHAPE].ravel()[::-1]))
     if _WIDTH in found and _HEIGHT in found:
-        sizes.setdefault("A", (int(found[_WIDTH].flat[0]), int(found[_HEIGHT].flat[0])))
+        told.append(("A", np.concatenate([found[_WIDTH].ravel(), found[_HEIGHT].ravel()])))
+    sizes: dict[str, Size] = {}
+    for device, numbers in told:
+        size = to_size(numbers)
+        if size is not None:
+            sizes.setdefault(device, size)
     return sizes
 
 
