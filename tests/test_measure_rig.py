@@ -108,5 +108,5 @@ def test_a_calibration_in_several_files_is_given_by_repeating_the_option(capture
 def test_a_rig_without_the_organising_camera_is_refused(capture, name):
     write_rig(Rig({"A": pair().in_frame_of("A").cameras["A"]}), capture / name)
     edit(capture, lambda m: m.update(rig=name))
-    with pytest.raises(InputError, match="calibration of A; expected those of the organising camera B"):
+    with pytest.raises(InputError, match="calibration of A; expected those of camera B"):
         measure(Capture.load(capture), MeasureOptions(organise_on="B"), 1)

@@ -115,6 +115,21 @@ def test_an_unknown_size_and_a_missing_matrix_are_named(tmp_path):
         read_opencv_rig([write(tmp_path / "none.yml", R=R)], (1280, 1024))
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [("cols: 3", "kols: 3"), ("rows: 3", "rows: 4"), ("dt: d", "dt: d\n   data: [ 1. ]")]
+)
+def test_a_matrix_that_is_not_whole_is_named(tmp_path, old, new):
+    path = write(tmp_path / "stereo.yml", **stereo_matrices())
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(InputError, match=r"stereo\.yml(: M1: no whole matrix| cannot be read|: cannot be read)"):
+        read_opencv_rig([path], (1280, 1024))
+
+
+def test_an_empty_distortion_is_none(tmp_path):
+    path = write(tmp_path / "stereo.yml", **{**stereo_matrices(), "D1": np.zeros((0, 0))})
+    assert not read_opencv_rig([path], (1280, 1024)).rig.cameras["A"].distortion.any()
+
+
 def test_skew_in_a_file_is_read_and_said(tmp_path):
     skewed = K_CAMERA + [[0, 1.5, 0], [0, 0, 0], [0, 0, 0]]
     imported = read_opencv_rig([write(tmp_path / "s.yml", **{**stereo_matrices(), "M2": skewed})], (1280, 1024))

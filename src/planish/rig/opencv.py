@@ -185,7 +185,7 @@ def _read_numbers(files: Sequence[Path]) -> dict[str, Array]:
             storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
             for name in _NAMES:
                 node = storage.getNode(name)
-                if name not in found and (numbers := _numbers(node)) is not None:
+                if name not in found and (numbers := _numbers(node, f"{path}: {name}")) is not None:
                     found[name] = numbers
         # OpenCV's Python binding reports a file that it cannot parse as SystemError.
         except (cv2.error, SystemError) as error:
@@ -194,17 +194,28 @@ def _read_numbers(files: Sequence[Path]) -> dict[str, Array]:
     return found
 
 
-def _numbers(node: Any) -> Array | None:
+def _numbers(node: Any, subject: str) -> Array | None:
     """A matrix, a row of numbers or a single number of a file, or None."""
     if node.empty():
         return None
-    if node.isMap():
-        matrix = node.mat()
-        return None if matrix is None else np.asarray(matrix, float)
-    items = [node.at(i) for i in range(node.size())] if node.isSeq() else [node]
-    if not all(item.isInt() or item.isReal() for item in items):
-        return None
-    return np.array([item.real() for item in items])
+    if not node.isMap():
+        row = _row(node)
+        return row if row.size else None
+    # OpenCV's own reading of a matrix writes outside its memory where a part is missing (seen with 5.0). "sizes" stands
+    # where recent releases write a vector.
+    parts = ("rows", "cols") if node.getNode("sizes").empty() else ("sizes",)
+    lengths = [_row(node.getNode(part)) for part in parts]
+    shape, data = np.concatenate(lengths), _row(node.getNode("data"))
+    if not all(length.size for length in lengths) or shape.min() < 0 or data.size != shape.prod():
+        raise InputError(subject, "no whole matrix", "'rows', 'cols' and as many numbers in 'data'")
+    return data.reshape(shape.astype(int))
+
+
+def _row(node: Any) -> Array:
+    """The numbers of a sequence, or a single one; none where there is anything else."""
+    items = [node.at(i) for i in range(node.size())] if node.isSeq() or node.empty() else [node]
+    whole = all(item.isInt() or item.isReal() for item in items)
+    return np.array([item.real() for item in items] if whole else [], float)
 
 
 def _sizes(found: Mapping[str, Array]) -> dict[str, Size]:

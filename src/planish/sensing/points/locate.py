@@ -66,7 +66,7 @@ def cameras_needed(rig: Rig, images: tuple[str, ...], own: str, geometry: Geomet
     pair = other is not None and {own, other} <= set(images)
     if own not in images or own not in rig.cameras:
         found = f"images of {', '.join(images)}, calibration of {', '.join(rig.cameras)}"
-        raise InputError(subject, found, f"those of the organising camera {own}")
+        raise InputError(subject, found, f"those of camera {own}, which is to organise")
     if geometry != "projector" and pair:
         assert other is not None
         return (own, other)
