@@ -28,7 +28,7 @@ SIGMAS = 4.0
 
 
 def test_a_pitch_ratio_is_reported_and_not_absorbed():
-    found = calibrate(seen(board=made(scale=(1.0005, 0.9995))))
+    found = calibrate(seen(views=20, board=made(scale=(1.0005, 0.9995))))
     ratio = finding(found, "pitch ratio x / y of the board")
     assert ratio.value == pytest.approx(1.0005 / 0.9995, abs=SIGMAS * ratio.sigma)
     assert ratio.sigma < 1e-4
@@ -37,7 +37,7 @@ def test_a_pitch_ratio_is_reported_and_not_absorbed():
 
 
 def test_a_bent_board_is_reported_and_on_request_taken_as_it_is():
-    item = seen(board=made(sagitta_mm=1.0))
+    item = seen(views=20, board=made(sagitta_mm=1.0))
     found = calibrate(item)
     bending = finding(found, "bending of the board")
     assert bending.value == pytest.approx(1.0, abs=SIGMAS * bending.sigma)
