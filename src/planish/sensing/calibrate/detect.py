@@ -12,7 +12,7 @@ from planish.errors import InputError
 from planish.geometry import Array
 from planish.sensing.calibrate.label import matches_colours, order_of_points, turns
 from planish.sensing.calibrate.observations import BoardPoints, Index
-from planish.sensing.calibrate.refine import Refined, refine_points
+from planish.sensing.calibrate.refine import Refined, refine_points, sides_that_go_on
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, Circles, board_points
 
 Image = NDArray[np.uint8]
@@ -54,6 +54,12 @@ def detect_board(image: NDArray[np.generic], board: Board, mask: Mask | None = N
     if len(index) < MIN_POINTS or _in_one_line(board, index):
         return f"only {len(index)} points of the board found"
     fine = refine_points(image, board, index, pixels)
+    if not isinstance(board, Charuco):
+        size = f"{board.grid[0]} x {board.grid[1]}"
+        if _lacks_a_side(board, fine.index):
+            return f"a whole outer row or column of the {size} points is missing: is the board smaller?"
+        if sides_that_go_on(image, board, fine):
+            return f"the pattern goes on beyond {size} points: is the board larger?"
     fine = _of_right_colour(fine, board, len(board_points(board)))
     if fine is None:
         return "a pattern like the board's was found, but its squares have the wrong colours"
@@ -108,16 +114,17 @@ def _find_grid(grey: Image, board: Board) -> Iterator[Array]:
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if isinstance(board, AsymmetricCircles) else cv2.CALIB_CB_SYMMETRIC_GRID
     for clustering in (0, cv2.CALIB_CB_CLUSTERING):
         for light in (False, True):
-            blobs = _blob_detector(grey, board, light)
+            blobs = blob_detector(grey, len(board_points(board)), light)
             found, centers = cv2.findCirclesGrid(grey, board.circles, flags=kind | clustering, blobDetector=blobs)
             if found:
                 yield np.asarray(centers, float).reshape(-1, 2)
 
 
-def _blob_detector(grey: Image, board: Board, light: bool) -> cv2.SimpleBlobDetector:
+def blob_detector(grey: Image, count: int, light: bool) -> cv2.SimpleBlobDetector:
+    """Return a detector of dark or light discs, of which `count` have room in the image."""
     parameters = cv2.SimpleBlobDetector_Params()
     # A disc cannot be larger than its share of the image; below 4 px across it has no centre worth measuring.
-    parameters.maxArea = float(grey.size) / len(board_points(board))
+    parameters.maxArea = float(grey.size) / count
     parameters.minArea = 12.0
     parameters.minDistBetweenBlobs = 4.0
     parameters.blobColor = 255 if light else 0
@@ -173,13 +180,21 @@ def _of_right_colour(fine: Refined, board: Board, count: int) -> Refined | None:
 
 
 def _kept(fine: Refined, keep: Mask) -> Refined:
-    return Refined(fine.index[keep], fine.pixel_px[keep], fine.sigma_px[keep], fine.dark[keep])
+    return fine._replace(**{name: getattr(fine, name)[keep] for name in fine._fields if name != "limit"})
 
 
 def _inside(mask: Mask, pixels: Array) -> Mask:
     u, v = np.round(pixels).astype(int).T
     known = (u >= 0) & (v >= 0) & (u < mask.shape[1]) & (v < mask.shape[0])
     return known & mask[v.clip(0, mask.shape[0] - 1), u.clip(0, mask.shape[1] - 1)]
+
+
+def _lacks_a_side(board: Board, index: Index) -> bool:
+    """Whether no point of an outer row or column is left: OpenCV makes up what it expects."""
+    columns, rows = board.grid
+    seen = np.zeros((rows, columns), bool)
+    seen.ravel()[index] = True
+    return not (seen[0].any() and seen[-1].any() and seen[:, 0].any() and seen[:, -1].any())
 
 
 def _in_one_line(board: Board, index: Index) -> bool:

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from itertools import product
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.geometry import Array
-from planish.sensing.calibrate.observations import BoardPoints, Index
-from planish.sensing.capture.board import Board, Charuco, Chessboard, board_points
+from planish.sensing.calibrate.observations import BoardPoints, CodedPoints, Index
+from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, board_points
 
 #: Turned by 90 degrees, points coincide to this share of the pitch.
 SAME_PLACE = 1e-3
 #: Rotations between the cameras that lie this near to each other agree [rad]: rough camera matrices tell no better.
 AGREEMENT_RAD = np.deg2rad(10.0)
+#: Proposals are tied where their misfits differ by less than this share of AGREEMENT_RAD per view.
+TIED = 0.02
+
+Points = TypeVar("Points", BoardPoints, CodedPoints)
 
 
 def turns(board: Board) -> tuple[Index, ...]:
@@ -71,6 +77,9 @@ def order_of_points(board: Board, pixels: Array) -> Index | None:
     orders = [place[::a, ::b] for a, b in product((1, -1), (1, -1))]
     if columns == rows:
         orders += [order.T for order in orders]
+    if isinstance(board, AsymmetricCircles) and rows % 2 == 0:
+        # OpenCV may take a grid that starts with the row that stands out, and exchange each two rows.
+        orders += [order[np.arange(rows) ^ 1] for order in orders]
     points = board_points(board)[:, :2]
     best: tuple[float, Index] | None = None
     for order in orders:
@@ -124,8 +133,8 @@ def agree(
     board: Board,
     size_px: Mapping[str, tuple[int, int]],
     known: Sequence[Array | None],
-) -> list[dict[str, BoardPoints]]:
-    """Return the points with those of camera B named so that both cameras mean the same point in every view.
+) -> list[Index]:
+    """Return per view the turn of camera B's points (see `turns`) after which both cameras mean the same points.
 
     Parameters
     ----------
@@ -145,42 +154,48 @@ def agree(
     rotation from A to B, with rough camera matrices; the proposal that most views have a turn for is right. Where boards
     are all parallel, several agree: then the one with the cameras' x axes most alike.
     """
-    found = [dict(view) for view in views]
     permutations = turns(board)
-    both = [k for k, view in enumerate(found) if "A" in view and "B" in view]
+    chosen = [permutations[0]] * len(views)
+    both = [k for k, view in enumerate(views) if "A" in view and "B" in view]
     if len(permutations) == 1 or not both:
-        return found
-    focal = {name: rough_focal_px([v[name] for v in found if name in v], board, size_px[name]) for name in "AB"}
+        return chosen
+    focal = {name: rough_focal_px([v[name] for v in views if name in v], board, size_px[name]) for name in "AB"}
     open_views, proposals = [], []
     for k in both:
-        turn = _by_evidence(found[k]["A"], found[k]["B"], known[k], permutations)
+        a, b = views[k]["A"], views[k]["B"]
+        turn = _by_evidence(a, b, known[k], permutations)
         if turn is not None:
-            found[k]["B"] = _renamed(found[k]["B"], turn)
+            chosen[k] = turn
             continue
-        R_A = _rotation(found[k]["A"], board, focal["A"], size_px["A"])
-        R_B = [_rotation(_renamed(found[k]["B"], t), board, focal["B"], size_px["B"]) for t in permutations]
+        R_A = _rotation(a, board, focal["A"], size_px["A"])
+        R_B = [_rotation(renamed(b, turn), board, focal["B"], size_px["B"]) for turn in permutations]
         if R_A is not None and all(R is not None for R in R_B):
             open_views.append(k)
             proposals.append(np.stack([R @ R_A.T for R in R_B if R is not None]))
-    if not open_views:
-        return found
-    stacked = np.stack(proposals)  # (views, turns, 3, 3)
+    if open_views:
+        for k, number in zip(open_views, _consensus(np.stack(proposals)), strict=True):
+            chosen[k] = permutations[number]
+    return chosen
+
+
+def _consensus(stacked: Array) -> Index:
+    """Return which of the proposed rotations (views, turns, 3, 3) of each view agrees with those of the other views."""
     candidates = stacked.reshape(-1, 3, 3)
     angle = _angles(candidates[:, None, None], stacked[None])  # (candidates, views, turns)
     misfit = np.minimum(angle.min(2), AGREEMENT_RAD).sum(1)
     # Among rotations that agree alike (boards that are all parallel): the one that turns least about the line of sight.
     upright = np.abs(np.arctan2(candidates[:, 1, 0], candidates[:, 0, 0]))
-    tied = misfit < misfit.min() + 0.02 * AGREEMENT_RAD * len(open_views)
-    chosen = int(np.where(tied, upright, np.inf).argmin())
-    for k, turn in zip(open_views, angle[chosen].argmin(1), strict=True):
-        found[k]["B"] = _renamed(found[k]["B"], permutations[turn])
-    return found
+    tied = misfit < misfit.min() + TIED * AGREEMENT_RAD * len(stacked)
+    best = int(np.where(tied, upright, np.inf).argmin())
+    return np.asarray(angle[best].argmin(1))
 
 
-def _renamed(points: BoardPoints, turn: Index) -> BoardPoints:
+def renamed(points: Points, turn: Index) -> Points:
+    """Return the points after a turn of the board (see `turns`), in the order of their new index."""
     index = turn[points.index]
     order = np.argsort(index)
-    return BoardPoints(index[order], points.pixel_px[order], points.sigma_px[order])
+    arrays = {f.name: getattr(points, f.name)[order] for f in fields(points) if f.name not in ("index", "camera")}
+    return replace(points, index=index[order], **arrays)
 
 
 def _by_evidence(a: BoardPoints, b: BoardPoints, known: Array | None, permutations: Sequence[Index]) -> Index | None:

@@ -25,8 +25,13 @@ START_BLUR_PX = 0.9
 NEIGHBOURS = 2.1
 #: A figure found further from its rough place than this share of the pitch is another one.
 MAX_MOVE = 0.3
-#: Residuals above this share of the step between dark and light: something else lies over the figure.
+#: Residuals, as a share of the step between dark and light, of a figure that is what it should be: below the first, or
+#: below so many times their median over the board; where a board's square ends, they are 0.15 and more.
+FITTING, FITTING_TIMES = 0.05, 4.0
+#: In no case above this: something else lies over the figure.
 MAX_MISFIT = 0.3
+#: A side goes on where so many of the places beyond it hold a figure, of at least half the contrast of the board's.
+GOES_ON_SHARE, GOES_ON_CONTRAST = 0.6, 0.5
 #: Systematic part of a point's error, added to that by noise: what print and pixels leave of the model (measured on
 #: drawn boards, blur 0.3 to 1.5 px: 0.002) [px].
 MODEL_PX = 0.002
@@ -45,12 +50,18 @@ class Refined(NamedTuple):
         Standard deviation of a coordinate [px].
     dark : ndarray (n,) bool
         Whether the square to the right of a crossing and below it, as labelled, is the darker one; whether a disc is.
+    contrast : ndarray (n,)
+        Half the step between dark and light, and its sense [grey levels].
+    limit : float
+        Residuals, as a share of that step, up to which a figure was taken for one.
     """
 
     index: Index
     pixel_px: Array
     sigma_px: Array
     dark: NDArray[np.bool_]
+    contrast: Array
+    limit: float
 
 
 def refine_points(image: NDArray[np.generic], board: Board, index: Index, rough_px: Array) -> Refined:
@@ -68,17 +79,55 @@ def refine_points(image: NDArray[np.generic], board: Board, index: Index, rough_
         Where they are, to a tenth of the pitch [px].
     """
     grid = board_points(board)[:, :2] / board.pitches_mm
-    discs = isinstance(board, (Circles, AsymmetricCircles))
-    fit_one = _fit_discs if discs else _fit_crossings
-    slope, _ = grid_shape(grid[index], rough_px)
-    pitch_px = np.sqrt(np.abs(np.linalg.det(slope)))
-    fit = fit_one(image, board, grid[index], rough_px)
-    with np.errstate(invalid="ignore"):
-        moved = np.linalg.norm(fit.center_px - rough_px, axis=1)
-        variance = np.trace(fit.covariance_px2, axis1=1, axis2=2) / 2
-        good = np.isfinite(variance) & (moved < MAX_MOVE * pitch_px) & (fit.noise < MAX_MISFIT * 2 * np.abs(fit.contrast))
+    grid = _grid(board)[index]
+    fit = _fit(image, board, grid, rough_px)
+    slope, _ = grid_shape(grid, rough_px)
+    misfit = fit.noise / (2 * np.abs(fit.contrast)).clip(1e-9)
+    limit = min(MAX_MISFIT, max(FITTING, FITTING_TIMES * float(np.median(misfit))))
+    variance = np.trace(fit.covariance_px2, axis1=1, axis2=2) / 2
+    moved = np.linalg.norm(fit.center_px - rough_px, axis=1)
+    good = np.isfinite(variance) & (misfit < limit) & (moved < MAX_MOVE * np.sqrt(np.abs(np.linalg.det(slope))))
     sigma = np.sqrt(variance[good] + MODEL_PX**2)
-    return Refined(index[good], fit.center_px[good], sigma, (fit.contrast[good] > 0) == discs)
+    dark = (fit.contrast[good] > 0) == _is_of_discs(board)
+    return Refined(index[good], fit.center_px[good], sigma, dark, fit.contrast[good], limit)
+
+
+def sides_that_go_on(image: NDArray[np.generic], board: Board, found: Refined) -> int:
+    """Return on how many of its four sides the pattern goes on beyond the board's last points."""
+    columns, rows = board.grid
+    grid = _grid(board)
+    pixel = np.full((len(grid), 2), np.nan)
+    pixel[found.index] = found.pixel_px
+    place = np.arange(len(grid)).reshape(rows, columns)
+    # From row to row of an asymmetric grid the columns shift to and fro: like follows like after two.
+    step = 2 if isinstance(board, AsymmetricCircles) else 1
+    count = 0
+    for lines, by in ((place, step), (place[::-1], step), (place.T, 1), (place.T[::-1], 1)):
+        if len(lines) <= 2 * by:
+            continue
+        edge, inner, third = lines[0], lines[by], lines[2 * by]
+        beyond = 3 * pixel[edge] - 3 * pixel[inner] + pixel[third]
+        known = np.isfinite(beyond).all(1)
+        if known.sum() < 2:
+            continue
+        outer = (2 * grid[edge] - grid[inner])[known]
+        fit = _fit(image, board, np.vstack([outer, grid[found.index]]), np.vstack([beyond[known], found.pixel_px]))
+        misfit = (fit.noise / (2 * np.abs(fit.contrast)).clip(1e-9))[: len(outer)]
+        strong = np.abs(fit.contrast)[: len(outer)] > GOES_ON_CONTRAST * np.median(np.abs(found.contrast))
+        count += bool(np.mean(strong & (misfit < found.limit)) >= GOES_ON_SHARE)
+    return count
+
+
+def _grid(board: Board) -> Array:
+    return board_points(board)[:, :2] / board.pitches_mm
+
+
+def _is_of_discs(board: Board) -> bool:
+    return isinstance(board, (Circles, AsymmetricCircles))
+
+
+def _fit(image: NDArray[np.generic], board: Board, grid: Array, rough_px: Array) -> FigureFit:
+    return (_fit_discs if _is_of_discs(board) else _fit_crossings)(image, board, grid, rough_px)
 
 
 def grid_shape(grid: Array, pixels: Array) -> tuple[Array, Array]:
@@ -189,10 +238,10 @@ def _fit_discs(image: NDArray[np.generic], board: Board, grid: Array, rough_px: 
 
 def _disc_radius(grey: Array, inside: NDArray[np.bool_], distance: Array, reach: float) -> float:
     """Return the radius [pitches] of the disc in the window by the share of its pixels that it covers."""
-    values = grey[inside]
-    if len(values) < 9:
+    values, middle = grey[inside], grey[inside & (distance < 0.25 * reach)]
+    if not len(middle):
         return 0.5 * reach
     low, high = np.quantile(values, (0.05, 0.95))
     light = values > 0.5 * (low + high)
-    share = float(np.mean(light == (np.median(values[distance[inside] < 0.25 * reach]) > 0.5 * (low + high))))
+    share = float(np.mean(light == (np.median(middle) > 0.5 * (low + high))))
     return reach * float(np.sqrt(np.clip(share, 0.05, 0.9)))
