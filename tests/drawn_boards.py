@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from planish.geometry import Array, exp_so3
 from planish.rig import Camera
-from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, Circles, board_points
+from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, board_points
 
 #: Grey levels of ink and paper.
 INK, PAPER = 30.0, 180.0
@@ -35,7 +35,7 @@ def placed(board: Board, camera: Camera, rotation_rad=(0.0, 0.0, 0.0), fill=0.75
 
 
 def reflectance(board: Board, x, y, sample_mm):
-    """Where paper shows, 0 ... 1, at points (x, y) [mm] of the board's frame, averaged over samples of this size [mm]."""
+    """Where paper shows, 0 ... 1, at points (x, y) [mm] of the board's frame, averaged over samples of `sample_mm`."""
     px, py = board.pitches_mm
     columns, rows = board.grid
     if isinstance(board, Chessboard):
@@ -77,7 +77,9 @@ def _charuco(board: Charuco, x, y):
     return np.where(inside, values, 1.0)
 
 
-def draw(board, camera, T_camera_board, *, blur_px=0.7, noise=0.0, seed=0, bits=8, supersampling=8, light=False, shade=0.0):
+def draw(
+    board, camera, T_camera_board, *, blur_px=0.7, noise=0.0, seed=0, bits=8, supersampling=8, light=False, shade=0.0
+):
     """The image (H, W), uint8, uint16 or (bits = 0) float, and the true pixels (N, 2) of the board's points.
 
     Parameters
@@ -92,11 +94,14 @@ def draw(board, camera, T_camera_board, *, blur_px=0.7, noise=0.0, seed=0, bits=
         Relative fall of the light from the left to the right of the image.
     """
     width, height = camera.size_px
-    fine = (np.arange(width * supersampling) + 0.5) / supersampling - 0.5, (
-        np.arange(height * supersampling) + 0.5
-    ) / supersampling - 0.5
+    fine = (
+        (np.arange(width * supersampling) + 0.5) / supersampling - 0.5,
+        (np.arange(height * supersampling) + 0.5) / supersampling - 0.5,
+    )
     x, y = _on_board(camera, T_camera_board, *np.meshgrid(*fine))
-    sample_mm = np.sqrt(np.abs(np.gradient(x, axis=1) * np.gradient(y, axis=0) - np.gradient(x, axis=0) * np.gradient(y, axis=1)))
+    sample_mm = np.sqrt(
+        np.abs(np.gradient(x, axis=1) * np.gradient(y, axis=0) - np.gradient(x, axis=0) * np.gradient(y, axis=1))
+    )
     shown = reflectance(board, x, y, sample_mm)
     if light:
         shown = 1 - shown
@@ -118,8 +123,25 @@ def _on_board(camera: Camera, T_camera_board, u, v):
     if np.any(camera.distortion):
         rays = camera.rays_sensor(np.stack([u, v], -1))
     else:
-        rays = np.stack([(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1], np.ones_like(u)], -1)
+        rays = np.stack(
+            [(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1], np.ones_like(u)], -1
+        )
     R, t = T_camera_board[:3, :3], T_camera_board[:3, 3]
     direction, origin = rays @ R, -t @ R
     along = -origin[2] / direction[..., 2]
     return origin[0] + along * direction[..., 0], origin[1] + along * direction[..., 1]
+
+
+def disc_centers(board, camera, T_camera_board) -> Array:
+    """Centres (N, 2) of the discs' images [px]: ellipses, whose centres are not the images of the discs' centres."""
+    x, y = board_points(board)[:, 0], board_points(board)[:, 1]
+    radius = (board.diameter_mm or 0.5 * board.pitches_mm[0]) / 2
+    H = camera.K @ np.column_stack([T_camera_board[:3, :2], T_camera_board[:3, 3]])
+    centers = []
+    for a, b in zip(x, y, strict=True):
+        # Points of the circle's conic C go to H^-T C H^-1; its centre is the pole of the line at infinity.
+        C = np.array([[1, 0, -a], [0, 1, -b], [-a, -b, a * a + b * b - radius**2]])
+        image = np.linalg.inv(H).T @ C @ np.linalg.inv(H)
+        pole = np.linalg.solve(image, [0, 0, 1])
+        centers.append(pole[:2] / pole[2])
+    return np.array(centers)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from planish.geometry import Array
+from planish.sensing.calibrate.grid import grid_shape
 from planish.sensing.calibrate.observations import BoardPoints, CodedPoints
-from planish.sensing.calibrate.refine import grid_shape
 from planish.sensing.capture.board import Board, board_points
 from planish.sensing.decode import PhaseMap
 from planish.sensing.patterns.entries import Axis
@@ -29,7 +29,8 @@ BLOCKS = 4
 
 class _Map(NamedTuple):
     """One coordinate around one point: value, derivative (2,), variance of the value if neighbours were independent,
-    and by how much blocks of neighbours vary more than that."""
+    and by how much blocks of neighbours vary more than that.
+    """
 
     value: float
     slope: Array
@@ -101,7 +102,7 @@ def _local_map(phase: PhaseMap, pixel: Array, steps: Array) -> _Map | None:
     use = inside & np.isfinite(position) & (sigma > 0)
     if use.sum() < max(MIN_PIXELS, MIN_SHARE * inside.sum()):
         return None
-    x, y = offset[:, use]
+    x, y = place[:, use]
     A = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], -1)
     weight, z = 1 / sigma[use], position[use]
     keep = np.ones(len(z), bool)
@@ -110,14 +111,13 @@ def _local_map(phase: PhaseMap, pixel: Array, steps: Array) -> _Map | None:
         if keep.sum() < MIN_PIXELS:
             return None
         weighted = A[keep] * weight[keep, None]
-        coefficients = np.linalg.lstsq(weighted, z[keep] * weight[keep], rcond=None)[0]
+        inverse = np.linalg.pinv(weighted.T @ weighted, hermitian=True)
+        coefficients = inverse @ (weighted.T @ (z[keep] * weight[keep]))
         residual = (z - A @ coefficients) * weight
         keep = np.abs(residual) <= OUTLIER_SIGMAS * 1.4826 * max(float(np.median(np.abs(residual))), 1e-9)
-    weighted = A[keep] * weight[keep, None]
     scatter = float((residual[keep] ** 2).sum() / max(keep.sum() - A.shape[1], 1))
-    inverse = np.linalg.pinv(weighted.T @ weighted, hermitian=True)
     alike = _alike(residual[keep], place[:, use][:, keep], A.shape[1]) / max(scatter, 1e-30)
-    return _Map(float(coefficients[0]), coefficients[1:3], scatter * float(inverse[0, 0]), alike)
+    return _Map(float(coefficients[0]), coefficients[1:3] @ np.linalg.inv(steps), scatter * float(inverse[0, 0]), alike)
 
 
 def _alike(residual: Array, place: Array, terms: int) -> float:

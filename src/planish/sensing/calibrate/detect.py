@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import fields, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 
 from planish.errors import InputError
 from planish.geometry import Array
+from planish.sensing.calibrate.grid import NEIGHBOURS, polynomial
 from planish.sensing.calibrate.label import matches_colours, order_of_points, turns
 from planish.sensing.calibrate.observations import BoardPoints, Index
 from planish.sensing.calibrate.refine import Refined, refine_points, sides_that_go_on
@@ -30,7 +33,7 @@ DARK_SHARE = 0.08
 SATURATED_SHARE = 0.2
 
 
-def detect_board(image: NDArray[np.generic], board: Board, mask: Mask | None = None) -> BoardPoints | str:
+def detect_board(image: NDArray[Any], board: Board, mask: Mask | None = None) -> BoardPoints | str:
     """Return the board's points in an image, or why there are none.
 
     Parameters
@@ -53,6 +56,8 @@ def detect_board(image: NDArray[np.generic], board: Board, mask: Mask | None = N
     index, pixels = rough
     if len(index) < MIN_POINTS or _in_one_line(board, index):
         return f"only {len(index)} points of the board found"
+    if isinstance(board, Charuco):
+        index, pixels = _with_neighbours(board, index, pixels)
     fine = refine_points(image, board, index, pixels)
     if not isinstance(board, Charuco):
         size = f"{board.grid[0]} x {board.grid[1]}"
@@ -60,9 +65,10 @@ def detect_board(image: NDArray[np.generic], board: Board, mask: Mask | None = N
             return f"a whole outer row or column of the {size} points is missing: is the board smaller?"
         if sides_that_go_on(image, board, fine):
             return f"the pattern goes on beyond {size} points: is the board larger?"
-    fine = _of_right_colour(fine, board, len(board_points(board)))
-    if fine is None:
+    coloured = _of_right_colour(fine, board, len(board_points(board)))
+    if coloured is None:
         return "a pattern like the board's was found, but its squares have the wrong colours"
+    fine = coloured
     if mask is not None:
         fine = _kept(fine, _inside(mask, fine.pixel_px))
     wanted = MIN_POINTS if isinstance(board, Charuco) else max(MIN_POINTS, MIN_SHARE * len(board_points(board)))
@@ -72,7 +78,7 @@ def detect_board(image: NDArray[np.generic], board: Board, mask: Mask | None = N
     return BoardPoints(fine.index[order], fine.pixel_px[order], fine.sigma_px[order])
 
 
-def find_points(image: NDArray[np.generic], board: Board) -> tuple[Index, Array] | None:
+def find_points(image: NDArray[Any], board: Board) -> tuple[Index, Array] | None:
     """Return which points of the board are seen and roughly where (n, 2) [px], or None."""
     scale = min(1.0, SEARCH_PX / max(image.shape))
     grey = stretched(image)
@@ -91,7 +97,7 @@ def find_points(image: NDArray[np.generic], board: Board) -> tuple[Index, Array]
     return found[0], (found[1] + 0.5) * factor - 0.5
 
 
-def stretched(image: NDArray[np.generic]) -> Image:
+def stretched(image: NDArray[Any]) -> Image:
     """Return the image in 8 bit with its contrast stretched, for OpenCV's detectors."""
     low, high = np.quantile(image[::4, ::4], (0.002, 0.998))
     factor = 255.0 / max(float(high) - float(low), 1.0)
@@ -101,8 +107,8 @@ def stretched(image: NDArray[np.generic]) -> Image:
 def _find_grid(grey: Image, board: Board) -> Iterator[Array]:
     """Yield the points (N, 2) row by row, from one end or the other, as often as a way of looking finds them."""
     if isinstance(board, Chessboard):
-        for flags in (0, cv2.CALIB_CB_EXHAUSTIVE):
-            found, corners = cv2.findChessboardCornersSB(grey, board.corners, flags=flags | cv2.CALIB_CB_NORMALIZE_IMAGE)
+        for flags in (0, cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE):
+            found, corners = cv2.findChessboardCornersSB(grey, board.corners, flags=flags)
             if found:
                 yield np.asarray(corners, float).reshape(-1, 2)
         flags = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_FAST_CHECK
@@ -120,9 +126,9 @@ def _find_grid(grey: Image, board: Board) -> Iterator[Array]:
                 yield np.asarray(centers, float).reshape(-1, 2)
 
 
-def blob_detector(grey: Image, count: int, light: bool) -> cv2.SimpleBlobDetector:
+def blob_detector(grey: Image, count: int, light: bool) -> Any:
     """Return a detector of dark or light discs, of which `count` have room in the image."""
-    parameters = cv2.SimpleBlobDetector_Params()
+    parameters: Any = cv2.SimpleBlobDetector_Params()  # type: ignore[attr-defined]
     # A disc cannot be larger than its share of the image; below 4 px across it has no centre worth measuring.
     parameters.maxArea = float(grey.size) / count
     parameters.minArea = 12.0
@@ -131,7 +137,12 @@ def blob_detector(grey: Image, count: int, light: bool) -> cv2.SimpleBlobDetecto
     parameters.minCircularity, parameters.filterByCircularity = 0.6, True
     parameters.minInertiaRatio, parameters.filterByInertia = 0.1, True
     parameters.minConvexity, parameters.filterByConvexity = 0.85, True
-    return cv2.SimpleBlobDetector_create(parameters)
+    return cv2.SimpleBlobDetector_create(parameters)  # type: ignore[attr-defined]
+
+
+def dictionaries() -> list[str]:
+    """Return the names of OpenCV's dictionaries, without "DICT_"."""
+    return sorted(name[5:] for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper())
 
 
 def charuco_board(board: Charuco, legacy: bool) -> cv2.aruco.CharucoBoard:
@@ -144,8 +155,7 @@ def charuco_board(board: Charuco, legacy: bool) -> cv2.aruco.CharucoBoard:
     """
     code = getattr(cv2.aruco, f"DICT_{board.dictionary.upper()}", None)
     if code is None:
-        known = sorted(name[5:] for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper())
-        raise InputError("board: dictionary", f"'{board.dictionary}'", f"one of {', '.join(known)}")
+        raise InputError("board: dictionary", f"'{board.dictionary}'", f"one of {', '.join(dictionaries())}")
     pitch, dictionary = min(board.pitches_mm), cv2.aruco.getPredefinedDictionary(code)
     needed, held = board.squares[0] * board.squares[1] // 2, len(dictionary.bytesList)
     if board.marker_mm >= pitch:
@@ -164,6 +174,19 @@ def _find_charuco(grey: Image, board: Charuco, legacy: bool) -> tuple[Index, Arr
     return np.asarray(ids, np.intp).ravel(), np.asarray(corners, float).reshape(-1, 2)
 
 
+def _with_neighbours(board: Charuco, index: Index, pixels: Array) -> tuple[Index, Array]:
+    """Return the points with those beside them where they should be: OpenCV finds only corners between two markers."""
+    grid = board_points(board)[:, :2] / board.pitches_mm
+    missing, places = [], []
+    for k in np.setdiff1d(np.arange(len(grid)), index):
+        near = np.abs(grid[index] - grid[k]).max(1) < NEIGHBOURS
+        place = polynomial(grid[index][near] - grid[k], pixels[near], 1)
+        if place is not None:
+            missing.append(k)
+            places.append(place[0])
+    return np.append(index, np.array(missing, np.intp)), np.vstack([pixels, *places])
+
+
 def _of_right_colour(fine: Refined, board: Board, count: int) -> Refined | None:
     """Return the points whose colours are those of the board, turned if it must be; None where no turn helps."""
     if not isinstance(board, (Chessboard, Charuco)):
@@ -175,12 +198,13 @@ def _of_right_colour(fine: Refined, board: Board, count: int) -> Refined | None:
         alternate = right if isinstance(board, Charuco) else alternate
         return _kept(fine, alternate) if alternate.mean() > 0.5 else None
     if right.mean() < 0.5:
-        fine, right = fine._replace(index=count - 1 - fine.index), ~right
+        fine, right = replace(fine, index=count - 1 - fine.index), ~right
     return _kept(fine, right)
 
 
 def _kept(fine: Refined, keep: Mask) -> Refined:
-    return fine._replace(**{name: getattr(fine, name)[keep] for name in fine._fields if name != "limit"})
+    arrays = {f.name: getattr(fine, f.name)[keep] for f in fields(fine) if f.name != "limit"}
+    return replace(fine, **arrays)
 
 
 def _inside(mask: Mask, pixels: Array) -> Mask:
@@ -202,7 +226,7 @@ def _in_one_line(board: Board, index: Index) -> bool:
     return bool(np.linalg.matrix_rank(grid - grid.mean(0), tol=1e-6) < 2) if len(grid) else True
 
 
-def _why_nothing(image: NDArray[np.generic]) -> str:
+def _why_nothing(image: NDArray[Any]) -> str:
     """Return in words why an image shows no board."""
     full = 255.0 if image.dtype == np.uint8 else max(4095.0, 2.0 ** np.ceil(np.log2(float(image.max()) + 1)) - 1)
     brightest, saturated = float(np.quantile(image[::4, ::4], 0.995)), float(np.mean(image >= full))

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.sensing.calibrate.detect import blob_detector, find_points, stretched
+from planish.sensing.calibrate.detect import blob_detector, detect_board, dictionaries, find_points, stretched
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, Circles
 
 #: So many images are looked at, spread over the run, at this length at most [px].
@@ -32,7 +33,7 @@ def describe_board(board: Board) -> str:
     return f"a whole {'asymmetric ' if isinstance(board, AsymmetricCircles) else ''}grid of {size} discs"
 
 
-def what_would_fit(images: Sequence[Callable[[], NDArray[np.generic]]], board: Board) -> str:
+def what_would_fit(images: Sequence[Callable[[], NDArray[Any]]], board: Board) -> str:
     """Return in words which board some image shows instead of the stated one, or nothing."""
     for k in sorted({round(k) for k in np.linspace(0, len(images) - 1, IMAGES)}):
         grey = stretched(images[k]())
@@ -48,8 +49,9 @@ def what_would_fit(images: Sequence[Callable[[], NDArray[np.generic]]], board: B
 def _others(grey: NDArray[np.uint8], board: Board) -> Iterator[Board | None]:
     if isinstance(board, Charuco):
         yield _other_charuco(grey, board)
-    yield _chessboard(grey, board)
-    yield _circles(grey, board)
+    looks = (_circles, _chessboard) if isinstance(board, (Circles, AsymmetricCircles)) else (_chessboard, _circles)
+    for look in looks:
+        yield look(grey, board)
 
 
 def _printed(board: Board) -> dict[str, object]:
@@ -62,7 +64,9 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> Board | None:
     if not found or meta is None:
         return None
     rows, columns = meta.shape[:2]
-    return Chessboard.model_validate({**_printed(board), "kind": "chessboard", "corners": (columns, rows)})
+    other = Chessboard.model_validate({**_printed(board), "kind": "chessboard", "corners": (columns, rows)})
+    # OpenCV sees chessboards in grids of circles too: only one whose crossings are crossings counts.
+    return None if isinstance(detect_board(grey, other), str) else other
 
 
 def _circles(grey: NDArray[np.uint8], board: Board) -> Board | None:
@@ -74,7 +78,7 @@ def _circles(grey: NDArray[np.uint8], board: Board) -> Board | None:
                 continue
             for kind, name in ((Circles, "circles"), (AsymmetricCircles, "asymmetric_circles")):
                 other = kind.model_validate({**_printed(board), "kind": name, "circles": (columns, rows)})
-                if find_points(grey, other) is not None:
+                if not isinstance(detect_board(grey, other), str):
                     return other
     return None
 
@@ -94,14 +98,10 @@ def _other_charuco(grey: NDArray[np.uint8], board: Charuco) -> Board | None:
 def dictionaries_seen(grey: NDArray[np.uint8], first: str) -> list[str]:
     """Return the dictionaries of which the image shows markers, the stated one first, the others by their number."""
     counts: dict[str, int] = {}
-    for name in dict.fromkeys([first.upper(), *_dictionaries()]):
+    for name in dict.fromkeys([first.upper(), *dictionaries()]):
         dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{name}"))
         _, ids, _ = cv2.aruco.ArucoDetector(dictionary).detectMarkers(grey)
         counts[name] = 0 if ids is None else len(ids)
     seen = [name for name, count in counts.items() if count >= MIN_MARKERS]
-    return sorted(seen, key=lambda name: (name != first.upper(), -counts[name]))
-
-
-def _dictionaries() -> list[str]:
-    # Of each family the largest holds the smaller ones; the smallest that holds all markers is the likelier statement.
-    return sorted(name[5:] for name in dir(cv2.aruco) if name.startswith("DICT_") and name.isupper())
+    # Of a family the larger ones hold the smaller: the smallest that holds all markers is the likeliest.
+    return sorted(seen, key=lambda name: (name != first.upper(), -counts[name], len(name), name))

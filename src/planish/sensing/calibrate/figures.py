@@ -7,6 +7,13 @@ from scipy.special import erf
 
 from planish.geometry import Array
 
+#: Blurs beyond make no difference, or none that fits a window [px].
+LEAST_BLUR_PX, LARGEST_BLUR_PX = 0.05, 50.0
+
+
+def _blur(log: Array) -> Array:
+    return np.exp(np.clip(log, np.log(LEAST_BLUR_PX), np.log(LARGEST_BLUR_PX)))
+
 
 def crossing(offset: Array, q: Array) -> tuple[Array, Array]:
     """Return S and its derivatives where two straight edges cross: -1 and +1 in turn, blurred by a Gaussian.
@@ -31,7 +38,7 @@ def crossing(offset: Array, q: Array) -> tuple[Array, Array]:
     S = E(a) E(b), E(a) = erf(a / (sqrt(2) s)), a and b the distances from the edges: exact for edges at right angles.
     """
     dx, dy = offset[0] - q[:, 0, None], offset[1] - q[:, 1, None]
-    s = np.exp(q[:, 4, None])
+    s = _blur(q[:, 4, None])
     edges = []
     for k in (2, 3):
         cos, sin = np.cos(q[:, k, None]), np.sin(q[:, k, None])
@@ -77,7 +84,7 @@ def disc(offset: Array, q: Array) -> tuple[Array, Array]:
     """
     dx, dy = offset[0] - q[:, 0, None], offset[1] - q[:, 1, None]
     l1, l2, l3 = (q[:, k, None] for k in (2, 3, 4))
-    s = np.exp(q[:, 5, None])
+    s = _blur(q[:, 5, None])
     w1, w2 = l1 * dx + l2 * dy, l3 * dy
     r = np.hypot(w1, w2).clip(1e-6)
     rx, ry = l1 * w1 / r, (l2 * w1 + l3 * w2) / r
@@ -85,7 +92,5 @@ def disc(offset: Array, q: Array) -> tuple[Array, Array]:
     a = (r - 1) / steep
     g = np.sqrt(2 / np.pi) / s * np.exp(-0.5 * (a / s) ** 2)
     per = g / steep
-    derivatives = np.stack(
-        [-rx * per, -ry * per, w1 * dx / r * per, w1 * dy / r * per, w2 * dy / r * per, -a * g], -1
-    )
+    derivatives = np.stack([-rx * per, -ry * per, w1 * dx / r * per, w1 * dy / r * per, w2 * dy / r * per, -a * g], -1)
     return erf(a / (np.sqrt(2) * s)), derivatives

@@ -191,15 +191,17 @@ def _paired(folder: Path, a: list[Path], b: list[Path]) -> tuple[ViewFiles, ...]
     left: list[list[str]] = []
     for key in (_whole_name, _without_camera):
         others = [{key(file) for file in files} for files in (b, a)]
-        alone = [[file for file in files if key(file) not in other] for files, other in zip((a, b), others, strict=True)]
+        alone = [
+            [file for file in files if key(file) not in other] for files, other in zip((a, b), others, strict=True)
+        ]
         left.append([str(file.relative_to(folder)) for files in alone for file in files])
     unpaired = min((names for names in left if names), key=len, default=left[0])
     counts = f"{len(a)} images in A and {len(b)} in B; " if len(a) != len(b) else ""
     raise InputError(
         folder,
         f"{counts}without a partner: {_listed(unpaired)}" if unpaired else f"{counts}names that fit several partners",
-        "for each position of the board an image in A and one in B of the same name (a word like left, right, cam0, cam1, "
-        f"L or R before or after it may differ), or a {RUN_FILE} that pairs them; put images of one camera alone there too",
+        "for each position of the board an image in A and one in B of the same name (left and right, cam0 and cam1, "
+        f"L and R before or after it may differ), or a {RUN_FILE} that says what belongs together",
     )
 
 

@@ -9,32 +9,23 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.errors import InputError
 from planish.geometry import Array
 from planish.options import thread_count
-from planish.sensing.calibrate.code import code_points
+from planish.sensing.calibrate.agree import agree
+from planish.sensing.calibrate.decode import decode_code
 from planish.sensing.calibrate.detect import detect_board
 from planish.sensing.calibrate.explain import describe_board, what_would_fit
-from planish.sensing.calibrate.label import agree, renamed
+from planish.sensing.calibrate.images import read_board_image, read_grey_values
+from planish.sensing.calibrate.label import renamed
 from planish.sensing.calibrate.manifest import BoardRun, ViewFiles, load_run
 from planish.sensing.calibrate.observations import BoardObservations, BoardPoints, BoardView, CodedPoints
 from planish.sensing.capture.board import Board
-from planish.sensing.capture.images import read_grey
-from planish.sensing.capture.manifest import Capture, ImageReader
-from planish.sensing.capture.sequence import read_layouts
-from planish.sensing.checks.slips import observe_consistent
-from planish.sensing.decode import DecodeOptions
-from planish.sensing.exposures import merge_exposures, split_exposures
-from planish.sensing.observe import Observation
-from planish.sensing.waveform.straighten import straighten
+from planish.sensing.capture.manifest import Capture
 
 #: (what is done, how much of it, of how much)
 Progress = Callable[[str, int, int], None]
-
-#: Of several exposures the longest serves whose white image has fewer saturated pixels.
-SATURATED_SHARE = 0.01
 
 
 class _Seen(NamedTuple):
@@ -79,20 +70,18 @@ def observe_boards(
     done = _Count(len(images) + len(coded), progress)
     seen = _detect_all(run, images, threads, done)
     sizes = _sizes(run, images, seen)
-    found = [
-        {camera: points for camera in _cameras(view) if not isinstance(points := seen[view.name, camera].points, str)}
-        for view in run.views
-    ]
+    found = [_found(view, seen) for view in run.views]
     if not any(found):
         reasons = list(dict.fromkeys(str(item.points) for item in seen.values()))
         raise InputError(
             run.path,
             f"no board in any of {len(seen)} images ({'; '.join(reasons[:3])})",
-            what_would_fit([partial(_grey, *item) for item in images], run.board) or describe_board(run.board),
+            what_would_fit([partial(read_grey_values, *item) for item in images], run.board)
+            or describe_board(run.board),
         )
     codes = []
     for view, points in zip(run.views, found, strict=True):
-        codes.append(_decode(view.capture, points, run.board, threads) if view in coded and view.capture else ())
+        codes.append(decode_code(view.capture, points, run.board, threads) if view in coded and view.capture else ())
         if view in coded:
             done.step(f"code of {view.name}")
     return _assemble(run, seen, sizes, found, codes)
@@ -120,11 +109,16 @@ def _coded_axes(capture: Capture) -> tuple[str, ...]:
     return tuple(sorted(found))
 
 
+def _found(view: ViewFiles, seen: dict[tuple[str, str], _Seen]) -> dict[str, BoardPoints]:
+    points = {camera: seen[view.name, camera].points for camera in _cameras(view)}
+    return {camera: item for camera, item in points.items() if not isinstance(item, str)}
+
+
 def _detect_all(
     run: BoardRun, images: Sequence[tuple[ViewFiles, str]], threads: int, done: _Count
 ) -> dict[tuple[str, str], _Seen]:
     def work(view: ViewFiles, camera: str) -> _Seen:
-        name, image, mask = _image(view, camera)
+        name, image, mask = read_board_image(view, camera)
         return _Seen(name, (image.shape[1], image.shape[0]), detect_board(image, run.board, mask))
 
     with ThreadPoolExecutor(threads) as pool:
@@ -137,47 +131,6 @@ def _detect_all(
             pool.shutdown(cancel_futures=True)
             raise
     return {key: task.result() for task, key in tasks.items()}
-
-
-def _image(view: ViewFiles, camera: str) -> tuple[str, NDArray[np.generic], NDArray[np.bool_] | None]:
-    """Return name, grey values (H, W) and mask of one camera's image of the board."""
-    if view.capture is None:
-        file = view.images[camera]
-        return f"{file.parent.name}/{file.name}", read_grey(file), None
-    capture, mask = view.capture, view.capture.read_mask(camera)
-    names = capture.manifest.images.A if camera == "A" else capture.manifest.images.B
-    assert names is not None
-    index, image = _board_image(capture, camera)
-    if mask is not None and mask.shape != image.shape:
-        raise InputError(
-            f"{capture.path}: mask.{camera}",
-            f"is {mask.shape[1]} x {mask.shape[0]} px",
-            f"{image.shape[1]} x {image.shape[0]} px, as the images of camera {camera}",
-        )
-    return f"{view.name}: {names[index]}" if index >= 0 else f"{view.name}: mean of camera {camera}", image, mask
-
-
-def _grey(view: ViewFiles, camera: str) -> NDArray[np.generic]:
-    return _image(view, camera)[1]
-
-
-def _board_image(capture: Capture, camera: str) -> tuple[int, NDArray[np.generic]]:
-    """Return the number in the sequence and the grey values (H, W) of the image that shows the board best.
-
-    It is the white image; of several exposures the longest that is hardly saturated; without any (-1) the mean of the
-    sequence, in which the patterns cancel.
-    """
-    sequence = capture.manifest.sequence
-    white = [k for k, entry in enumerate(sequence) if entry.role == "white"]
-    white.sort(key=lambda k: -(sequence[k].exposure_ms or 0.0))
-    for k in white:
-        image = capture.read_image(camera, k)
-        full = np.iinfo(image.dtype).max
-        if k == white[-1] or np.mean(image >= full) < SATURATED_SHARE:
-            return k, image
-    lit = [k for k, entry in enumerate(sequence) if entry.role != "black"] or list(range(len(sequence)))
-    images = [capture.read_image(camera, k) for k in lit]
-    return -1, np.mean(images, axis=0, dtype=np.float32)
 
 
 def _sizes(
@@ -195,39 +148,6 @@ def _sizes(
                 f"{other.size_px[0]} x {other.size_px[1]} px, as {other.image}: a camera's images are of one size",
             )
     return {camera: first[camera].size_px for camera in sorted(first)}
-
-
-def _decode(
-    capture: Capture, points: dict[str, BoardPoints], board: Board, threads: int
-) -> tuple[CodedPoints, ...]:
-    """Return the projector's positions at the points, per camera that found the board."""
-    if not points:
-        return ()
-    if capture.manifest.projector_px is None:
-        raise InputError(capture.path, "names no size of the projector", "'projector_px', its [width, height]")
-    cameras = tuple(points)
-    exposures = split_exposures(capture)
-    each = [_observe(part, cameras, threads) for _, part in exposures]
-    layout = read_layouts(exposures[0][1].manifest, str(capture.path))[0]
-    found = []
-    for camera in cameras:
-        seen = merge_exposures([item[camera] for item in each], [time for time, _ in exposures])
-        mask = capture.read_mask(camera)
-        if mask is not None:
-            seen = seen.without(~mask)
-        coded = code_points(straighten(seen, layout.codes, camera).phases, points[camera], board, camera)
-        if coded is not None:
-            found.append(coded)
-    return tuple(found)
-
-
-def _observe(capture: Capture, cameras: tuple[str, ...], threads: int) -> dict[str, Observation]:
-    layout = read_layouts(capture.manifest, str(capture.path))[0]
-    again = partial(capture.read_images, threads=threads)
-    with ImageReader(capture, cameras, threads) as reader:
-        return observe_consistent(
-            reader.take, again, cameras, layout, DecodeOptions(), str(capture.path), threads
-        )
 
 
 def _assemble(

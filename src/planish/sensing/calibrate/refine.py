@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.sensing.calibrate.figures import crossing, disc
+from planish.sensing.calibrate.grid import grid_shape
 from planish.sensing.calibrate.observations import Index
 from planish.sensing.calibrate.window_fit import FigureFit, Windows, cut_windows, fit_figures
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Circles, board_points
@@ -21,8 +23,6 @@ DISC_REACH = 0.5
 MIN_RADIUS_PX = 3
 #: Blur of a lens in focus, with a pixel's own width [px]: where the fit starts.
 START_BLUR_PX = 0.9
-#: The shape of the grid around a point is taken from points so many pitches around it: lines bend by lens distortion.
-NEIGHBOURS = 2.1
 #: A figure found further from its rough place than this share of the pitch is another one.
 MAX_MOVE = 0.3
 #: Residuals, as a share of the step between dark and light, of a figure that is what it should be: below the first, or
@@ -37,7 +37,8 @@ GOES_ON_SHARE, GOES_ON_CONTRAST = 0.6, 0.5
 MODEL_PX = 0.002
 
 
-class Refined(NamedTuple):
+@dataclass(frozen=True)
+class Refined:
     """Sub-pixel places of points that were found.
 
     Parameters
@@ -64,7 +65,7 @@ class Refined(NamedTuple):
     limit: float
 
 
-def refine_points(image: NDArray[np.generic], board: Board, index: Index, rough_px: Array) -> Refined:
+def refine_points(image: NDArray[Any], board: Board, index: Index, rough_px: Array) -> Refined:
     """Return the sub-pixel places of the points `index` near their rough places (n, 2); those not found are left out.
 
     Parameters
@@ -80,8 +81,10 @@ def refine_points(image: NDArray[np.generic], board: Board, index: Index, rough_
     """
     grid = board_points(board)[:, :2] / board.pitches_mm
     grid = _grid(board)[index]
-    fit = _fit(image, board, grid, rough_px)
     slope, _ = grid_shape(grid, rough_px)
+    fit = _first_fit(image, board, rough_px, slope)
+    if not _is_of_discs(board):
+        fit = _with_bent_edges(image, board, grid, rough_px, fit)
     misfit = fit.noise / (2 * np.abs(fit.contrast)).clip(1e-9)
     limit = min(MAX_MISFIT, max(FITTING, FITTING_TIMES * float(np.median(misfit))))
     variance = np.trace(fit.covariance_px2, axis1=1, axis2=2) / 2
@@ -92,7 +95,7 @@ def refine_points(image: NDArray[np.generic], board: Board, index: Index, rough_
     return Refined(index[good], fit.center_px[good], sigma, dark, fit.contrast[good], limit)
 
 
-def sides_that_go_on(image: NDArray[np.generic], board: Board, found: Refined) -> int:
+def sides_that_go_on(image: NDArray[Any], board: Board, found: Refined) -> int:
     """Return on how many of its four sides the pattern goes on beyond the board's last points."""
     columns, rows = board.grid
     grid = _grid(board)
@@ -101,21 +104,21 @@ def sides_that_go_on(image: NDArray[np.generic], board: Board, found: Refined) -
     place = np.arange(len(grid)).reshape(rows, columns)
     # From row to row of an asymmetric grid the columns shift to and fro: like follows like after two.
     step = 2 if isinstance(board, AsymmetricCircles) else 1
-    count = 0
+    outer, beyond = [], []
     for lines, by in ((place, step), (place[::-1], step), (place.T, 1), (place.T[::-1], 1)):
-        if len(lines) <= 2 * by:
-            continue
-        edge, inner, third = lines[0], lines[by], lines[2 * by]
-        beyond = 3 * pixel[edge] - 3 * pixel[inner] + pixel[third]
-        known = np.isfinite(beyond).all(1)
-        if known.sum() < 2:
-            continue
-        outer = (2 * grid[edge] - grid[inner])[known]
-        fit = _fit(image, board, np.vstack([outer, grid[found.index]]), np.vstack([beyond[known], found.pixel_px]))
-        misfit = (fit.noise / (2 * np.abs(fit.contrast)).clip(1e-9))[: len(outer)]
-        strong = np.abs(fit.contrast)[: len(outer)] > GOES_ON_CONTRAST * np.median(np.abs(found.contrast))
-        count += bool(np.mean(strong & (misfit < found.limit)) >= GOES_ON_SHARE)
-    return count
+        if len(lines) > 2 * by:
+            edge, inner, third = lines[0], lines[by], lines[2 * by]
+            expected = 3 * pixel[edge] - 3 * pixel[inner] + pixel[third]
+            known = np.isfinite(expected).all(1)
+            outer.append((2 * grid[edge] - grid[inner])[known])
+            beyond.append(expected[known])
+    around = np.vstack([*outer, grid[found.index]])
+    slope = grid_shape(around, np.vstack([*beyond, found.pixel_px]))[0][: -len(found.index)]
+    fit = _first_fit(image, board, np.vstack(beyond), slope)
+    misfit = fit.noise / (2 * np.abs(fit.contrast)).clip(1e-9)
+    strong = np.abs(fit.contrast) > GOES_ON_CONTRAST * np.median(np.abs(found.contrast))
+    sides = np.split(strong & (misfit < found.limit), np.cumsum([len(side) for side in outer])[:-1])
+    return sum(len(side) > 1 and side.mean() >= GOES_ON_SHARE for side in sides)
 
 
 def _grid(board: Board) -> Array:
@@ -126,65 +129,20 @@ def _is_of_discs(board: Board) -> bool:
     return isinstance(board, (Circles, AsymmetricCircles))
 
 
-def _fit(image: NDArray[np.generic], board: Board, grid: Array, rough_px: Array) -> FigureFit:
-    return (_fit_discs if _is_of_discs(board) else _fit_crossings)(image, board, grid, rough_px)
+def _first_fit(image: NDArray[Any], board: Board, rough_px: Array, slope: Array) -> FigureFit:
+    if _is_of_discs(board):
+        windows, start = _disc_windows(image, board, rough_px, slope)
+        return fit_figures(windows, disc, start)
+    windows, start = _crossing_windows(image, board, rough_px, slope)
+    return fit_figures(windows, crossing, start)
 
 
-def grid_shape(grid: Array, pixels: Array) -> tuple[Array, Array]:
-    """Return first (n, 2, 2) and second derivatives (n, 2, 2) of pixels by the grid's columns and rows, at its points.
-
-    Parameters
-    ----------
-    grid : ndarray (n, 2)
-        Points in pitches.
-    pixels : ndarray (n, 2)
-        Where they are seen [px].
-
-    Returns
-    -------
-    slope : ndarray (n, 2, 2)
-        d pixel / d (column, row): slope[:, :, 0] is the step to the next column [px].
-    bend : ndarray (n, 2, 2)
-        Second derivative along the columns (bend[:, :, 0]) and along the rows [px]; 0 where there are too few points.
-    """
-    slope, bend = np.empty((len(grid), 2, 2)), np.zeros((len(grid), 2, 2))
-    whole = _polynomial(grid, pixels, 1)
-    for k, here in enumerate(grid):
-        near = np.abs(grid - here).max(1) < NEIGHBOURS
-        d = grid[near] - here
-        curved = _polynomial(d, pixels[near], 2)
-        if curved is not None:
-            slope[k], bend[k] = curved[1:3].T, 2 * curved[[3, 5]].T
-            continue
-        straight = _polynomial(d, pixels[near], 1)
-        slope[k] = (straight if straight is not None else whole if whole is not None else np.full((3, 2), np.nan))[1:3].T
-    return slope, bend
-
-
-def _polynomial(x: Array, y: Array, order: int) -> Array | None:
-    """Return coefficients (1, x, y[, xx, xy, yy]; 2) of the polynomial through points; None where they do not fix it."""
-    terms = [np.ones(len(x)), x[:, 0], x[:, 1]]
-    if order == 2:
-        terms += [x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2]
-    A = np.stack(terms, -1)
-    if len(x) < A.shape[1] + (order == 2) or np.linalg.matrix_rank(A) < A.shape[1]:
-        return None
-    return np.linalg.lstsq(A, y, rcond=None)[0]
-
-
-def _fit_crossings(image: NDArray[np.generic], board: Board, grid: Array, rough_px: Array) -> FigureFit:
-    slope, _ = grid_shape(grid, rough_px)
-    windows = _crossing_windows(image, board, rough_px, slope)
-    start = np.zeros((len(grid), 7))
-    start[:, :2] = rough_px - windows.middle
-    # Normals: of the edge between columns towards the next column, of that between rows towards the next row.
-    start[:, 2] = _normal(slope[:, :, 1], slope[:, :, 0])
-    start[:, 3] = _normal(slope[:, :, 0], slope[:, :, 1])
-    start[:, 4] = np.log(START_BLUR_PX)
-    first = fit_figures(windows, crossing, start)
-    # Edges that the lens bends: how much, the neighbours tell.
-    center = np.where(np.isfinite(first.covariance_px2).all((1, 2))[:, None], first.center_px, rough_px)
+def _with_bent_edges(image: NDArray[Any], board: Board, grid: Array, rough_px: Array, first: FigureFit) -> FigureFit:
+    """Return the crossings fitted with the curvature that the lens gives their edges: their neighbours tell."""
+    known = np.asarray(np.isfinite(first.covariance_px2).all((1, 2)))
+    center = np.where(known[:, None], first.center_px, rough_px)
     slope, bend = grid_shape(grid, center)
+    windows, start = _crossing_windows(image, board, rough_px, slope)
     start[:, :2], start[:, 2:5] = center - windows.middle, first.form[:, :3]
     for k, along in ((2, 1), (3, 0)):
         normal = np.stack([np.cos(start[:, k]), np.sin(start[:, k])], -1)
@@ -198,7 +156,8 @@ def _normal(edge: Array, towards: Array) -> Array:
     return np.arctan2(side * edge[:, 0], -side * edge[:, 1])
 
 
-def _crossing_windows(image: NDArray[np.generic], board: Board, rough_px: Array, slope: Array) -> Windows:
+def _crossing_windows(image: NDArray[Any], board: Board, rough_px: Array, slope: Array) -> tuple[Windows, Array]:
+    """Return the windows around crossings, and q to start with."""
     reach = CORNER_REACH * np.linalg.norm(slope, axis=1).max()
     windows = cut_windows(image, rough_px, int(np.clip(reach, MIN_RADIUS_PX, CORNER_RADIUS_PX)))
     place = _in_pitches(windows, rough_px, slope)
@@ -209,31 +168,37 @@ def _crossing_windows(image: NDArray[np.generic], board: Board, rough_px: Array,
         margin_px = 0.5 * (1 - board.marker_mm / max(board.pitches_mm)) * np.linalg.norm(slope, axis=1).min(1)
         edge_px = np.abs(place) * np.linalg.norm(slope, axis=1)[:, :, None]
         inside &= edge_px.min(1) < np.maximum(margin_px - 1.5, 1.5)[:, None]
-    return Windows(windows.middle, windows.offset, windows.grey, windows.weight * inside)
+    start = np.zeros((len(rough_px), 7))
+    start[:, :2] = rough_px - windows.middle
+    # Normals: of the edge between columns towards the next column, of that between rows towards the next row.
+    start[:, 2] = _normal(slope[:, :, 1], slope[:, :, 0])
+    start[:, 3] = _normal(slope[:, :, 0], slope[:, :, 1])
+    start[:, 4] = np.log(START_BLUR_PX)
+    return Windows(windows.middle, windows.offset, windows.grey, windows.weight * inside), start
 
 
 def _in_pitches(windows: Windows, points_px: Array, slope: Array) -> Array:
     """Return the places (n, 2, m) of the windows' pixels in pitches along columns and rows, from the points (n, 2)."""
     offset = windows.offset[None] + (windows.middle - points_px)[:, :, None]
-    return np.linalg.solve(slope, offset)
+    return np.asarray(np.linalg.solve(slope, offset))
 
 
-def _fit_discs(image: NDArray[np.generic], board: Board, grid: Array, rough_px: Array) -> FigureFit:
-    slope, _ = grid_shape(grid, rough_px)
+def _disc_windows(image: NDArray[Any], board: Board, rough_px: Array, slope: Array) -> tuple[Windows, Array]:
+    """Return the windows around discs, and q to start with."""
     reach = DISC_REACH * (np.sqrt(2) if isinstance(board, AsymmetricCircles) else 1.0)
     radius = int(np.ceil(reach * np.linalg.norm(slope, ord=2, axis=(1, 2)).max()))
     windows = cut_windows(image, rough_px, max(radius, MIN_RADIUS_PX))
     distance = np.linalg.norm(_in_pitches(windows, rough_px, slope), axis=1)
     inside = windows.weight * (distance < reach)
     windows = Windows(windows.middle, windows.offset, windows.grey, inside)
-    start = np.empty((len(grid), 6))
+    start = np.empty((len(rough_px), 6))
     start[:, :2] = rough_px - windows.middle
-    for k in range(len(grid)):
+    for k in range(len(rough_px)):
         form = np.linalg.inv(slope[k]) / _disc_radius(windows.grey[k], inside[k] > 0, distance[k], reach)
         L = np.linalg.cholesky(form.T @ form).T
         start[k, 2:5] = L[0, 0], L[0, 1], L[1, 1]
     start[:, 5] = np.log(START_BLUR_PX)
-    return fit_figures(windows, disc, start)
+    return windows, start
 
 
 def _disc_radius(grey: Array, inside: NDArray[np.bool_], distance: Array, reach: float) -> float:

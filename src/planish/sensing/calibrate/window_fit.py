@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,8 @@ Figure = Callable[[Array, Array], tuple[Array, Array]]
 MAX_STEPS = 20
 #: The fit is done when the centre moves by less [px].
 DONE_PX = 1e-4
+#: Damping at which no step makes the fit better.
+HOPELESS = 1e6
 #: Windows worked on at a time: 256 of 31 x 31 pixels take 30 MB.
 AT_A_TIME = 256
 #: Numbers of the light: c, gx, gy, m, hx, hy.
@@ -77,7 +80,7 @@ class FigureFit:
     noise: Array
 
 
-def cut_windows(image: NDArray[np.generic], points_px: Array, radius: int) -> Windows:
+def cut_windows(image: NDArray[Any], points_px: Array, radius: int) -> Windows:
     """Cut squares of 2 radius + 1 pixels out of an image (H, W) around points (n, 2); nothing counts beyond its rim."""
     height, width = image.shape
     middle = np.round(points_px).astype(np.intp)
@@ -105,35 +108,33 @@ def fit_figures(windows: Windows, figure: Figure, start: Array) -> FigureFit:
     return FigureFit(windows.middle + q[:, :2], covariance, q[:, 2:], contrast, noise)
 
 
-def _fit(
-    offset: Array, grey: Array, weight: Array, figure: Figure, start: Array
-) -> tuple[Array, Array, Array, Array]:
-    count = len(start)
-    q, damping = start.astype(float).copy(), np.full(count, 1e-3)
+def _fit(offset: Array, grey: Array, weight: Array, figure: Figure, start: Array) -> tuple[Array, Array, Array, Array]:
+    q, damping = start.astype(float).copy(), np.full(len(start), 1e-3)
     light, cost, J, residual = _evaluate(offset, grey, weight, figure, q)
-    active = np.isfinite(cost)
+    active = np.flatnonzero(np.isfinite(cost))
     for _ in range(MAX_STEPS):
-        if not active.any():
+        if not len(active):
             break
-        normal = np.swapaxes(J, 1, 2) @ (weight[..., None] * J)
-        gradient = (np.swapaxes(J, 1, 2) @ (weight * residual)[..., None])[..., 0]
+        weighted = np.swapaxes(J[active], 1, 2) * weight[active, None]
+        normal, gradient = weighted @ J[active], weighted @ residual[active, :, None]
         diagonal = np.einsum("nii->ni", normal)
-        damped = normal + (damping[:, None] * diagonal + 1e-12)[:, :, None] * np.eye(normal.shape[1])
-        step = np.linalg.solve(damped, gradient[..., None])[..., 0][:, LIGHT:]
-        trial = q.copy()
-        trial[:, : step.shape[1]] += np.where(active[:, None], step, 0.0)
-        new_light, new_cost, new_J, new_residual = _evaluate(offset, grey, weight, figure, trial)
-        better = active & (new_cost <= cost)
-        q[better], light[better], cost[better] = trial[better], new_light[better], new_cost[better]
-        J[better], residual[better] = new_J[better], new_residual[better]
-        damping = np.where(better, damping * 0.1, damping * 10).clip(1e-9, 1e9)
-        active &= ~(better & (np.abs(step[:, :2]).max(1) < DONE_PX)) & (damping < 1e8)
+        damped = normal + (damping[active, None] * diagonal + 1e-12)[:, :, None] * np.eye(normal.shape[1])
+        step = np.linalg.solve(damped, gradient)[:, LIGHT:, 0]
+        trial = q[active]
+        trial[:, : step.shape[1]] += step
+        new = _evaluate(offset, grey[active], weight[active], figure, trial)
+        better = new[1] <= cost[active]
+        taken = active[better]
+        q[taken] = trial[better]
+        for old, now in zip((light, cost, J, residual), new, strict=True):
+            old[taken] = now[better]
+        damping[active] = np.where(better, damping[active] * 0.1, damping[active] * 10).clip(1e-9, HOPELESS)
+        done = better & (np.abs(step[:, :2]).max(1) < DONE_PX)
+        active = active[~done & (damping[active] < HOPELESS)]
     return q, *_quality(weight, light, cost, J)
 
 
-def _evaluate(
-    offset: Array, grey: Array, weight: Array, figure: Figure, q: Array
-) -> tuple[Array, Array, Array, Array]:
+def _evaluate(offset: Array, grey: Array, weight: Array, figure: Figure, q: Array) -> tuple[Array, Array, Array, Array]:
     """Return the best light (n, 6), half the sum of squares (n,), the Jacobian (n, m, 6 + p) and residuals (n, m)."""
     S, dS = figure(np.broadcast_to(offset[:, None], (2, *grey.shape)), q)
     plane = np.broadcast_to(np.stack([np.ones(offset.shape[1]), *offset], -1), (*grey.shape, 3))
@@ -145,7 +146,12 @@ def _evaluate(
     residual = grey - (basis @ light[..., None])[..., 0]
     amplitude = (plane @ light[:, 3:, None])[..., 0]
     cost = 0.5 * (weight * residual**2).sum(1)
-    return light, np.where(np.isfinite(cost), cost, np.inf), np.concatenate([basis, amplitude[..., None] * dS], -1), residual
+    return (
+        light,
+        np.where(np.isfinite(cost), cost, np.inf),
+        np.concatenate([basis, amplitude[..., None] * dS], -1),
+        residual,
+    )
 
 
 def _quality(weight: Array, light: Array, cost: Array, J: Array) -> tuple[Array, Array, Array]:
