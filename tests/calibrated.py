@@ -14,7 +14,7 @@ from planish.geometry import compose, exp_so3, invert, transform_points
 from planish.measurement import Finding
 from planish.rig import Rig
 from planish.rig.derivatives import project_with_derivatives
-from planish.rig.parameters import DEVICE_PARAMETERS, EXTERNAL, EXTERNAL_PART
+from planish.rig.parameters import DEVICE_PARAMETERS, EXTERNAL
 from planish.sensing.calibrate.observations import BoardObservations, BoardPoints, BoardView, CodedPoints
 from planish.sensing.calibrate.result import Calibration, LensModel, Residuals
 from planish.sensing.capture.board import board_points, parse_board
@@ -143,4 +143,6 @@ def calibration(devices=("A", "B", "projector"), views=20, tilt_deg=35.0, depth_
 
 def board_in_camera(item, view, camera):
     """T_camera_board of one view."""
-    return item.rig.cameras[camera].T_camera_sensor @ invert(item.rig.cameras["A"].T_camera_sensor) @ item.T_A_board[view]
+    return (
+        item.rig.cameras[camera].T_camera_sensor @ invert(item.rig.cameras["A"].T_camera_sensor) @ item.T_A_board[view]
+    )

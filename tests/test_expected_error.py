@@ -17,7 +17,7 @@ from planish.sensing.calibrate.expected_error import (
 )
 
 DEPTH_MM, COLUMNS, DRAWS = 870.0, 7, 1200
-#: 1200 draws know a standard deviation to 2 % (1 / sqrt(2 * 1200)): 4 of that at the worst place, a share of it overall.
+#: 1200 draws know a standard deviation to 2 % (1 / sqrt(2 * 1200)): 4 times that at the worst place, 2 times overall.
 WORST, OVERALL = 0.09, 0.04
 
 

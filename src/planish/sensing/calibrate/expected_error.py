@@ -12,6 +12,9 @@ from planish.geometry import Array
 from planish.measurement import Map
 from planish.rig import Camera, Rig
 from planish.rig.derivatives import point_derivatives
+from planish.rig.parameters import PROJECTOR
+from planish.sensing.calibrate.result import Calibration
+from planish.sensing.calibrate.views import depths_mm
 
 #: Places per image width of a map: its errors vary as slowly as distortions do.
 COLUMNS = 40
@@ -65,6 +68,24 @@ def device_pairs(rig: Rig) -> tuple[tuple[str, str], ...]:
     return tuple(("A", name) for name in rig.devices if name != "A")
 
 
+def expected_errors(calibration: Calibration) -> tuple[ExpectedError, ...]:
+    """Return the expected error of each pair of devices on a plane at the working distance of the boards."""
+    depth = depths_mm(calibration)[1]
+    return tuple(
+        expected_error_on_plane(calibration.rig, own, other, depth, coded_direction(calibration, other))
+        for own, other in device_pairs(calibration.rig)
+    )
+
+
+def coded_direction(calibration: Calibration, device: str) -> tuple[float, float] | None:
+    """Return the direction in which alone the code told the projector's position; None where both were coded."""
+    code = [c.position_px for view in calibration.observations.views for c in view.code]
+    if device != PROJECTOR or not code:
+        return None
+    known = np.isfinite(np.concatenate(code)).any(0)
+    return None if known.all() else (float(known[0]), float(known[1]))
+
+
 def pixel_grid(camera: Camera, columns: int = COLUMNS) -> Array:
     """Return pixels (h, w, 2) spread evenly over a camera's image, its borders half a step away."""
     width, height = camera.size_px
@@ -88,9 +109,7 @@ def expected_error_on_plane(
 ) -> ExpectedError:
     """Return the expected error on a plane parallel to the organising camera's image, `depth_mm` in front of it."""
     pixels = pixel_grid(rig.cameras[own], columns)
-    return expected_error(
-        rig, own, other, pixels, points_at_depth(rig.cameras[own], pixels, depth_mm), direction_px
-    )
+    return expected_error(rig, own, other, pixels, points_at_depth(rig.cameras[own], pixels, depth_mm), direction_px)
 
 
 def expected_error(
