@@ -82,8 +82,8 @@ def coded_direction(calibration: Calibration, device: str) -> tuple[float, float
     code = [c.position_px for view in calibration.observations.views for c in view.code]
     if device != PROJECTOR or not code:
         return None
-    known = np.isfinite(np.concatenate(code)).any(0)
-    return None if known.all() else (float(known[0]), float(known[1]))
+    u, v = (bool(np.isfinite(column).any()) for column in np.concatenate(code).T)
+    return None if u and v else (float(u), float(v))
 
 
 def pixel_grid(camera: Camera, columns: int = COLUMNS) -> Array:
