@@ -63,7 +63,11 @@ def advice(calibration: Calibration, errors: Sequence[ExpectedError] | None = No
         *_bad_views(calibration),
         *_outliers(calibration),
         *_misfit(calibration, maps),
-        *(s for e in (expected_errors(calibration) if errors is None else errors) for s in error_advice(e)),
+        *(
+            s
+            for e in (expected_errors(calibration) if errors is None else errors)
+            for s in error_advice(e, calibration.scale[1])
+        ),
     ]
     return tuple(found)
 
@@ -204,8 +208,8 @@ def _misfit(calibration: Calibration, maps: Sequence[Coverage]) -> list[str]:
     return out
 
 
-def error_advice(error: ExpectedError) -> list[str]:
-    """Return where the expected error is largest, and what it consists of."""
+def error_advice(error: ExpectedError, pitch_sigma: float) -> list[str]:
+    """Return where the expected error is largest, and whether the pitch's standard deviation makes most of it."""
     out = []
     whole, scale = map_rms(error.form_mm), map_rms(error.scale_mm)
     pair = f"{device_title(error.own)} with {device_title(error.other)}"
@@ -225,10 +229,10 @@ def error_advice(error: ExpectedError) -> list[str]:
             f"Measured by {pair}, the expected error in the {_listed(weak)} is up to {worst / middle:.1f} times that "
             "of the centre: boards there help most."
         )
-    if scale**2 > 0.5 * whole**2:
+    if scale**2 > 0.5 * whole**2 and pitch_sigma**2 > 0.5 * error.scale_sigma**2:
         out.append(
-            f"Most of the expected error of form of {pair} ({scale:.2g} of {whole:.2g} mm) is the scale: only a length "
-            "of the board that is known better than its pitch (known_length) makes it less."
+            f"Most of the expected error of form of {pair} ({scale:.2g} of {whole:.2g} mm) is that of the pitch: only "
+            "a length of the board that is known better (known_length) makes it less."
         )
     return out
 

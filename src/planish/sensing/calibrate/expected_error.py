@@ -17,7 +17,7 @@ from planish.sensing.calibrate.result import Calibration
 from planish.sensing.calibrate.views import depths_mm
 
 #: Places per image width of a map: its errors vary as slowly as distortions do.
-COLUMNS = 40
+COLUMNS = 64
 
 
 @dataclass(frozen=True)
