@@ -35,7 +35,7 @@ def residuals_png(calibration: Calibration, item: Coverage) -> bytes:
     pixel = np.concatenate([r.pixel_px for r in own])
     residual = np.concatenate([r.residual_px for r in own])
     outlier = np.concatenate([r.outlier for r in own])
-    figure = Figure(figsize=(12.4, 3.9), layout="constrained")
+    figure = Figure(figsize=(12.4, 4.6 * size[1] / size[0] + 0.75), layout="constrained")
     left, middle, right = figure.subplots(1, 3, width_ratios=(IMAGE_WIDTH, IMAGE_WIDTH, PLOT_WIDTH))
     spread(figure)
     length = float(np.median(np.linalg.norm(residual[~outlier], axis=1))) if (~outlier).any() else 1.0
@@ -122,11 +122,12 @@ def clean(axis: Axes) -> None:
 
 def coverage_png(calibration: Calibration, maps: list[Coverage]) -> bytes:
     """Return the number of points per cell of each device's image."""
-    figure = Figure(figsize=(4.1 * len(maps) + 0.1, 3.4), layout="constrained")
+    sizes = [calibration.rig.devices[item.device].size_px for item in maps]
+    tallest = max(size[1] / size[0] for size in sizes)
+    figure = Figure(figsize=(4.1 * len(maps) + 0.1, 4.0 * tallest + 0.4), layout="constrained")
     spread(figure)
     most = max(int(item.count.max()) for item in maps)
-    for axis, item in zip(np.atleast_1d(figure.subplots(1, len(maps))), maps, strict=True):
-        size = calibration.rig.devices[item.device].size_px
+    for axis, item, size in zip(np.atleast_1d(figure.subplots(1, len(maps))), maps, sizes, strict=True):
         rows, columns = item.count.shape
         width, height = size[0] / columns, size[1] / rows
         for row, column in np.ndindex(rows, columns):
@@ -157,7 +158,7 @@ def placement_png(calibration: Calibration) -> bytes:
     axis.set_yticks([15, 30, 45], ["15°", "30°", "45°"], fontsize=8, color=MUTED)
     axis.grid(color=NEUTRAL, linewidth=0.6)
     axis.spines["polar"].set_color(NEUTRAL)
-    axis.set_title("tilt: where each board leans", fontsize=9, color=INK, pad=12)
+    axis.set_title("tilt: where each board faces", fontsize=9, color=INK, pad=12)
     bars = figure.add_subplot(grid[1])
     names = [p.view for p in places]
     bars.bar(range(len(places)), [p.far_mm - p.near_mm for p in places], bottom=[p.near_mm for p in places],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
@@ -10,8 +12,7 @@ from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.report.calibration.figures import spread
-from planish.report.calibration.numbers import digits_for
-from planish.report.style import INK, MUTED, NEUTRAL, png
+from planish.report.style import INK, MUTED, NEUTRAL, nice_limit, png
 from planish.rig import Camera
 from planish.sensing.calibrate.advice import device_title
 from planish.sensing.calibrate.expected_error import ExpectedError, pixel_grid
@@ -20,11 +21,13 @@ error_map = LinearSegmentedColormap.from_list("expected error", ("#faf7ee", "#f2
 distortion_map = LinearSegmentedColormap.from_list("distortion", ("#f7fafc", "#7fa9d8", "#1f4e9c"))
 #: The colours end at this quantile: a corner's few places must not take all of them.
 QUANTILE = 0.995
+#: Quantiles between which contour lines are drawn, and the range, as a share, below which a map is even.
+SHOWN, LEAST_RANGE = (0.01, 0.99), 1e-2
 
 
 def error_png(error: ExpectedError, size_px: tuple[int, int]) -> bytes:
     """Return the expected error over the image: in the sensor frame, of form, and its part by the scale."""
-    figure = Figure(figsize=(12.4, 3.6), layout="constrained")
+    figure = Figure(figsize=(12.4, 3.9 * size_px[1] / size_px[0] + 0.9), layout="constrained")
     titles = ("in the sensor frame", "form: less the best rigid motion", "of it by the scale")
     maps = (error.sensor_mm, error.form_mm, error.scale_mm)
     # Form and its part share their colours; the error in the sensor frame may be many times larger.
@@ -39,7 +42,8 @@ def error_png(error: ExpectedError, size_px: tuple[int, int]) -> bytes:
 
 def distortion_png(devices: dict[str, Camera]) -> bytes:
     """Return by how much the lenses shift the image, over the images."""
-    figure = Figure(figsize=(4.1 * len(devices) + 0.1, 3.5), layout="constrained")
+    tallest = max(camera.size_px[1] / camera.size_px[0] for camera in devices.values())
+    figure = Figure(figsize=(4.1 * len(devices) + 0.1, 3.9 * tallest + 0.9), layout="constrained")
     spread(figure)
     for axis, (name, camera) in zip(np.atleast_1d(figure.subplots(1, len(devices))), devices.items(), strict=True):
         shift = distortion_px(camera, pixel_grid(camera))
@@ -79,7 +83,7 @@ def _map(
         u = (np.arange(values.shape[1]) + 0.5) * size_px[0] / values.shape[1] - 0.5
         v = (np.arange(values.shape[0]) + 0.5) * size_px[1] / values.shape[0] - 0.5
         lines = axis.contour(u, v, values, levels=levels, colors=INK, linewidths=0.7)
-        digits = digits_for(float(levels[-1] - levels[0]) / len(levels))
+        digits = max(0, -math.floor(math.log10(_step(values)) + 1e-9))
         axis.clabel(lines, fmt=lambda value: f"{value:.{digits}f}", fontsize=8)
     axis.set_xticks([])
     axis.set_yticks([])
@@ -96,9 +100,14 @@ def _levels(values: Array) -> NDArray[np.float64]:
     known = values[np.isfinite(values)]
     if len(known) == 0:
         return np.empty(0)
-    low, high = np.quantile(known, [0.01, 0.99])
-    if not high - low > 1e-3 * high:
+    low, high = np.quantile(known, SHOWN)
+    if not high - low > LEAST_RANGE * high:
         return np.empty(0)
-    power = 10.0 ** np.floor(np.log10((high - low) / 4))
-    step = next(f * power for f in (1, 2, 5, 10) if f * power >= (high - low) / 5)
+    step = _step(values)
     return np.asarray(np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step)
+
+
+def _step(values: Array) -> float:
+    """Round distance of four or five levels."""
+    low, high = np.nanquantile(values, SHOWN)
+    return nice_limit([float(high - low) / 5], least=1e-9)

@@ -28,8 +28,8 @@ from planish.sensing.calibrate.coverage import coverage
 from planish.sensing.calibrate.expected_error import ExpectedError, expected_errors
 from planish.sensing.calibrate.result import Calibration
 
-#: Width in the page of the only picture that is narrower than the page [px].
-HEIGHT_WIDTH_PX = 620
+#: Widths in the page of pictures that are narrower than it: the board's height, one device's panel [px].
+HEIGHT_WIDTH_PX, PANEL_WIDTH_PX = 620, 374
 
 
 def write_calibration_report(calibration: Calibration, path: Path, versions: Mapping[str, str] | None = None) -> Path:
@@ -86,6 +86,7 @@ def _page(
         advice_section(advice(calibration, errors)),
         *(("<h2>Expected 3D error</h2>", error_section(calibration, errors, shown)) if errors else ()),
         "<h2>Residuals</h2>",
+        f"<p>{prose(text.RESIDUALS)}</p>",
         *(shown[f"residuals_{name}"] for name in calibration.rig.devices),
         "<h2>Views</h2>",
         shown["views"],
@@ -121,22 +122,19 @@ def _shown(calibration: Calibration, errors: Sequence[ExpectedError], pictures: 
         "median.",
         "coverage": "Points that count, per cell of the image. Red: none; grey: no other device sees this part of the "
         "image at the working distance, so that nothing is measured there.",
-        "placement": "Left: direction in the image to which each board leans away from the camera, by its tilt. Right: "
+        "placement": "Left: the side of the image to which each board faces, by its tilt. Right: "
         "depths in camera A of the points that were seen.",
         "distortion": "By how much the lens shifts the image.",
         "height": "Height of the board's points above its plane, estimated with the rig.",
     }
     for name in calibration.rig.devices:
-        captions[f"residuals_{name}"] = (
-            f"{text.capital(device_title(name))}. Left: residuals, magnified as the arrow below the image says. "
-            "Middle: means of all residuals of a cell, magnified more; orange where noise alone makes them so large in one "
-            "cell of a thousand: there lens or board differ from their models. Right: both components over their "
-            "standard deviation."
-        )
+        captions[f"residuals_{name}"] = f"{text.capital(device_title(name))}."
     for e in errors:
         captions[f"expected_error_{e.own}_{e.other}"] = (
             f"{text.capital(text.title([e.own]))} with {device_title(e.other)}: expected error over the image of "
             f"{device_title(e.own)}, on a plane at the working distance; grey: not seen by both."
         )
     widths = {"height": HEIGHT_WIDTH_PX}
+    for name in ("coverage", "distortion"):
+        widths[name] = PANEL_WIDTH_PX * len(calibration.rig.devices)
     return {name: figure(content, captions[name], widths.get(name)) for name, content in pictures.items()}

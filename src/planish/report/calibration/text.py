@@ -15,6 +15,11 @@ from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Che
 #: Length for which the statement on the scale gives an example [mm].
 EXAMPLE_MM = 300.0
 
+RESIDUALS = (
+    "Left: residuals (observed less adjusted), magnified as the arrow below the image says. Middle: means of all "
+    "residuals of a cell, magnified more; orange where noise alone makes them so large in one cell of a thousand: "
+    "there lens or board differ from their models. Right: both components over their standard deviation."
+)
 ERROR_DEFINITION = (
     "Standard deviations by the calibration alone, from its covariance: the same in all measurements. The noise of a "
     "measurement's own images comes on top (sigma_mm of its points).",

@@ -26,7 +26,7 @@ class Placement:
     tilt_rad : float
         Angle between the board and the image plane [rad].
     lean : ndarray (2,)
-        Components of the board's normal in the image plane, as it points away from the camera: to the right, down.
+        Components (right, down) in the image plane of the board's normal, which points to the camera.
     turn_rad : float
         Direction of the board's rows in the image [rad].
     """
@@ -58,7 +58,7 @@ def placements(calibration: Calibration) -> tuple[Placement, ...]:
                 float(own.min()),
                 float(own.max()),
                 float(np.arccos(min(1.0, normal[2]))),
-                normal[:2],
+                -normal[:2],
                 float(np.arctan2(T[1, 0], T[0, 0])),
             )
         )
