@@ -137,13 +137,13 @@ def coverage_png(calibration: Calibration, maps: list[Coverage]) -> bytes:
             axis.add_patch(Rectangle(corner, width, height, facecolor=tone, edgecolor="white", linewidth=1.0))
             ink = "white" if number > 0.55 * most else INK if useful or number else MUTED
             axis.text(corner[0] + width / 2, corner[1] + height / 2, f"{number}" if useful or number else "–",
-                      fontsize=7.5, color=ink, ha="center", va="center")  # fmt: skip
+                      fontsize=7.5, color=ink, ha="center", va="center", in_layout=False)  # fmt: skip
         _image_frame(axis, size, device_title(item.device))
     return png(figure)
 
 
 def placement_png(calibration: Calibration) -> bytes:
-    """Return where the boards leaned to, and the depths that each covered."""
+    """Return to which side the boards faced, and the depths that each covered."""
     places = placements(calibration)
     near, middle, far = depths_mm(calibration)
     figure = Figure(figsize=(12.4, 3.5), layout="constrained")
