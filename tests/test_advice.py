@@ -87,7 +87,7 @@ def test_a_view_that_moved_is_to_be_taken_again(good):
     (sentence,) = said(item, "again")
     assert "view_04 (A/04.png)" in sentence
     rms = {r.view: r.rms_px for r in item.residuals if r.device == "A"}
-    assert f"{rms['view_04'] / np.median(list(rms.values())):.1f} times" in sentence
+    assert f"{rms['view_04'] / np.median(list(rms.values())):.1f} times in camera A" in sentence
 
 
 def test_many_outliers_are_told_with_their_view(good):

@@ -172,8 +172,8 @@ def placement_png(calibration: Calibration) -> bytes:
     return png(figure)
 
 
-#: More names than this under an axis overlap.
-MAX_NAMES = 30
+#: More names than this under an axis overlap, longer ones take its space; a longer shared beginning is dropped.
+MAX_NAMES, MAX_LETTERS, SHARED_LETTERS = 30, 18, 6
 
 
 def _view_labels(axis: Axes, names: list[str]) -> None:
@@ -182,8 +182,16 @@ def _view_labels(axis: Axes, names: list[str]) -> None:
         axis.set_xlabel("view, in the order of the input", fontsize=8, color=MUTED)
         axis.xaxis.set_major_locator(MaxNLocator(integer=True))
         return
-    axis.set_xticks(range(len(names)), [name if len(name) <= 18 else f"…{name[-17:]}" for name in names],
-                    rotation=60, ha="right", rotation_mode="anchor")  # fmt: skip
+    axis.set_xticks(range(len(names)), _short(names), rotation=60, ha="right", rotation_mode="anchor")
+
+
+def _short(names: list[str]) -> list[str]:
+    """Names without the beginning that all share (numbers are not cut), and no longer than MAX_LETTERS."""
+    first, last = min(names), max(names)
+    same = next((i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), 0)
+    shared = first[:same].rstrip("0123456789")
+    own = [name[len(shared) :] for name in names] if len(shared) > SHARED_LETTERS else names
+    return [name if len(name) <= MAX_LETTERS else f"…{name[1 - MAX_LETTERS :]}" for name in own]
 
 
 def view_rms(calibration: Calibration, device: str) -> dict[str, float]:

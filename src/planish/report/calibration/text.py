@@ -62,7 +62,8 @@ def verdict(calibration: Calibration, errors: Sequence[ExpectedError]) -> tuple[
     first = f"{title(devices)} calibrated from {views} of {board_text(calibration.observations.board)}."
     sentences = [capital(first), _residuals(calibration)]
     sentences += [error_sentence(calibration, error) for error in errors]
-    sentences.append(scale_sentence(calibration))
+    if len(devices) > 1:
+        sentences.append(scale_sentence(calibration))
     warnings = sum(bool(finding.warning) for finding in calibration.findings)
     if warnings:
         sentences.append(f"{count(warnings, 'warning')}, see below.")

@@ -160,16 +160,21 @@ def bad_views(calibration: Calibration, device: str) -> dict[str, float]:
 
 
 def _bad_views(calibration: Calibration) -> list[str]:
-    out = []
     images = {view.name: view.images for view in calibration.observations.views}
+    bad: dict[str, dict[str, float]] = {}
     for device in calibration.rig.devices:
         for view, factor in bad_views(calibration, device).items():
-            image = images.get(view, {}).get(device)
-            named = view if image is None or PurePath(image).stem == view else f"{view} ({image})"
-            out.append(
-                f"Take {named} again, or leave it out: its residuals in {device_title(device)} are {factor:.1f} times "
-                "those of the median view. Did the board or the sensor move?"
-            )
+            bad.setdefault(view, {})[device] = factor
+    out = []
+    for view, factors in sorted(bad.items(), key=lambda item: -max(item[1].values())):
+        files = [images.get(view, {}).get(device, view) for device in factors]
+        named = sorted({name for name in files if PurePath(name).stem != view})
+        where = [f"{factor:.1f} times in {device_title(device)}" for device, factor in factors.items()]
+        of = f" ({', '.join(named)})" if named else ""
+        out.append(
+            f"Take {view}{of} again, or leave it out: its residuals are "
+            f"{_listed(where)} those of the median view. Did the board or the sensor move?"
+        )
     return out
 
 
@@ -203,7 +208,7 @@ def _misfit(calibration: Calibration, maps: Sequence[Coverage]) -> list[str]:
             out.append(
                 f"In parts of the image of {title} the residuals point the same way in all views "
                 f"({item.systematic_px:.3f} px rms beyond noise): lens or board differ from their models. Compare the "
-                f"lens models below and measure the board{flatness}."
+                f"lens models that were tried and measure the board{flatness}."
             )
     return out
 
