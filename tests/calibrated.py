@@ -136,7 +136,7 @@ def calibration(devices=("A", "B", "projector"), views=20, tilt_deg=35.0, depth_
     bump = 0.05 * (1 - ((points[:, 0] - 97.5) / 97.5) ** 2) if height else None
     return Calibration(
         rig, observations, T_A_board, residuals, {d: NOISE_PX[d] for d in rig.devices}, models,
-        {d: 1.55 * NOISE_PX[d] for d in rig.devices}, (1.0, BOARD["pitch_sigma"]), bump, findings,
+        {d: 1.55 * NOISE_PX[d] for d in rig.devices}, (0.0, BOARD["pitch_sigma"]), bump, findings,
         {"model": "auto", "flatness": height},
     )  # fmt: skip
 

@@ -105,9 +105,10 @@ def test_the_verdict_states_errors_and_what_the_scale_rests_on(item):
 def test_a_known_length_is_named_as_what_the_scale_rests_on(item):
     known = KnownLength(first=(0, 0), second=(13, 0), length_mm=195.02, sigma_mm=0.004)
     board = item.observations.board.model_copy(update={"known_length": known})
-    measured = replace(item, observations=replace(item.observations, board=board), scale=(1.0001, 2e-5))
+    measured = replace(item, observations=replace(item.observations, board=board), scale=(1e-4, 2e-5))
     sentence = scale_sentence(measured)
     assert "195.02 mm ± 0.004 mm" in sentence
+    assert "+0.0100 % off the pitch" in sentence
     assert "0.0060 mm over 300 mm" in sentence
 
 
@@ -121,7 +122,7 @@ def test_the_sigma_of_a_derived_quantity_is_that_of_drawn_rigs(item):
 
 def test_numbers_have_the_digits_of_their_sigma():
     assert with_sigma(2725.8012, 0.293) == ("2725.80", "0.29")
-    assert with_sigma(1.00002, None) == ("1.00002", "")
+    assert with_sigma(71.8466, None) == ("71.85", "")
     assert significant(0.01634) == "0.016"
     assert significant(float("nan")) == "-"
     assert significant(123.4) == "123"

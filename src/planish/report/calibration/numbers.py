@@ -20,7 +20,7 @@ def digits_for(sigma: float) -> int:
 def with_sigma(value: float, sigma: float | None) -> tuple[str, str]:
     """Return value and standard deviation with the same digits after the point."""
     if sigma is None or not sigma > 0:
-        return f"{value:.6g}", ""
+        return f"{value:.4g}", ""
     digits = digits_for(sigma)
     return f"{value:.{digits}f}", f"{sigma:.{digits}f}"
 

@@ -75,7 +75,7 @@ class MissedEntry(Strict):
 
 
 class ScaleEntry(Strict):
-    """Uniform scale against the pitch of the board file."""
+    """By how much lengths differ from those that the pitch of the board file gives (a share of 1)."""
 
     value: float
     sigma: float
