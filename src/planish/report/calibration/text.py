@@ -104,6 +104,6 @@ def scale_sentence(calibration: Calibration) -> str:
     known = board.known_length
     return (
         f"The uniform scale is not observable from boards: it rests on the pitch ({percent(board.pitch_sigma)}) and on "
-        f"the known length of {known.length_mm:g} mm ± {known.sigma_mm:g} mm. Together they put it {100 * value:+.4f} % "
-        f"off the pitch with a standard deviation of {percent(sigma)}, {example}."
+        f"the known length of {known.length_mm:g} mm ± {known.sigma_mm:g} mm. Together they put it {100 * value:+.4f} "
+        f"% off the pitch with a standard deviation of {percent(sigma)}, {example}."
     )
