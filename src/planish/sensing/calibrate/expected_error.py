@@ -12,7 +12,6 @@ from planish.geometry import Array
 from planish.measurement import Map
 from planish.rig import Camera, Rig
 from planish.rig.derivatives import point_derivatives
-from planish.rig.parameters import PROJECTOR
 from planish.sensing.calibrate.result import Calibration
 from planish.sensing.calibrate.views import depths_mm
 
@@ -72,18 +71,8 @@ def expected_errors(calibration: Calibration) -> tuple[ExpectedError, ...]:
     """Return the expected error of each pair of devices on a plane at the working distance of the boards."""
     depth = depths_mm(calibration)[1]
     return tuple(
-        expected_error_on_plane(calibration.rig, own, other, depth, coded_direction(calibration, other))
-        for own, other in device_pairs(calibration.rig)
+        expected_error_on_plane(calibration.rig, own, other, depth) for own, other in device_pairs(calibration.rig)
     )
-
-
-def coded_direction(calibration: Calibration, device: str) -> tuple[float, float] | None:
-    """Return the direction in which alone the code told the projector's position; None where both were coded."""
-    code = [c.position_px for view in calibration.observations.views for c in view.code]
-    if device != PROJECTOR or not code:
-        return None
-    u, v = (bool(np.isfinite(column).any()) for column in np.concatenate(code).T)
-    return None if u and v else (float(u), float(v))
 
 
 def pixel_grid(camera: Camera, columns: int = COLUMNS) -> Array:
