@@ -20,6 +20,7 @@ COMMANDS: tuple[str, ...] = (
     "simulate_board",
     "measure",
     "import_cloud",
+    "convert_rig",
     "register",
     "evaluate",
     "demo",
