@@ -11,6 +11,7 @@ from matplotlib.ticker import MaxNLocator
 from scipy.stats import norm
 
 from planish.geometry import Array
+from planish.report.calibration.numbers import pixels
 from planish.report.style import DIVERGING, INK, MUTED, NEUTRAL, colour, diverging_map, nice_limit, png
 from planish.sensing.calibrate.advice import bad_views, device_title
 from planish.sensing.calibrate.coverage import Coverage, cell_centres
@@ -101,7 +102,7 @@ def _distribution(axis: Axes, normalised: Array, noise_px: float) -> None:
         axis.stairs(share, edges, color=colour(k), linewidth=1.4, label=name)
     axis.plot(middle, norm.pdf(middle), color=INK, linewidth=0.9, linestyle=(0, (4, 3)), label="normal")
     axis.set_xlim(-5, 5)
-    axis.set_xlabel(f"residual / {noise_px:.3f} px", fontsize=8, color=MUTED)
+    axis.set_xlabel(f"residual / {pixels(noise_px)} px", fontsize=8, color=MUTED)
     axis.set_yticks([])
     axis.legend(fontsize=8, frameon=False, loc="upper right", handlelength=1.4)
     axis.set_title("distribution", fontsize=9, color=INK, loc="left")

@@ -8,6 +8,8 @@ from html import escape
 
 #: Digits after the point beyond which no number of a calibration is read.
 MOST_DIGITS = 9
+#: Residuals below this have one digit more [px].
+FEW_PIXELS = 0.02
 
 
 def digits_for(sigma: float) -> int:
@@ -33,6 +35,18 @@ def significant(value: float, digits: int = 2) -> str:
         return "0"
     places = min(MOST_DIGITS, max(0, digits - 1 - math.floor(math.log10(abs(value)))))
     return f"{value:.{places}f}"
+
+
+def pixel_digits(value_px: float) -> int:
+    """Return the digits after the point with which residuals of this size are shown."""
+    return 3 if not value_px < FEW_PIXELS else 4
+
+
+def pixels(value_px: float | None) -> str:
+    """Return a residual [px]; "–" where it is not known."""
+    if value_px is None or not math.isfinite(value_px):
+        return "–"
+    return f"{value_px:.{pixel_digits(value_px)}f}"
 
 
 def prose(text: str) -> str:

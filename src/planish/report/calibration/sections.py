@@ -10,7 +10,7 @@ import numpy as np
 from planish.measurement import Finding
 from planish.report.calibration import text
 from planish.report.calibration.figures import view_rms
-from planish.report.calibration.numbers import percent, prose, significant, with_sigma
+from planish.report.calibration.numbers import percent, pixel_digits, prose, significant, with_sigma
 from planish.report.html import html_table
 from planish.report.text import count
 from planish.sensing.calibrate.advice import bad_views, device_title
@@ -81,7 +81,7 @@ def views_section(calibration: Calibration) -> str:
         for d in devices:
             points, outliers = _counts(calibration, view, d)
             mark = ' class="bad"' if view in bad[d] else ""
-            value = f"{rms[d][view]:.3f}" if np.isfinite(rms[d][view]) else "–"
+            value = f"{rms[d][view]:.{pixel_digits(median[d])}f}" if np.isfinite(rms[d][view]) else "–"
             cells += [
                 f'<td class="start">{points or "–"}</td>',
                 f"<td{mark}>{value}</td>",

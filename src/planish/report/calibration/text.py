@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from planish.report.calibration.numbers import percent, significant
+from planish.report.calibration.numbers import percent, pixels, significant
 from planish.report.text import count
 from planish.sensing.calibrate.advice import device_title
 from planish.sensing.calibrate.expected_error import ExpectedError, map_rms
@@ -74,8 +74,8 @@ def _residuals(calibration: Calibration) -> str:
     parts = []
     for device in calibration.rig.devices:
         left_out = calibration.left_out_rms_px.get(device)
-        tail = "" if left_out is None else f" (left out: {left_out:.3f} px)"
-        parts.append(f"{calibration.rms_px(device):.3f} px in {device_title(device)}{tail}")
+        tail = "" if left_out is None else f" (left out: {pixels(left_out)} px)"
+        parts.append(f"{pixels(calibration.rms_px(device))} px in {device_title(device)}{tail}")
     end = " Left out: a view's residuals to a rig adjusted without it." if calibration.left_out_rms_px else ""
     return f"Residuals, root mean square of their length: {', '.join(parts)}.{end}"
 

@@ -236,7 +236,7 @@ def error_advice(error: ExpectedError, pitch_sigma: float) -> list[str]:
         )
     if scale**2 > 0.5 * whole**2 and pitch_sigma**2 > 0.5 * error.scale_sigma**2:
         out.append(
-            f"{100 * scale / whole:.0f} % of the expected error of form of {pair} come from the pitch: only a "
+            f"{100 * scale / whole:.0f} % of the expected error of form of {pair} comes from the pitch: only a "
             "length of the board that is known better (known_length) makes it less."
         )
     return out
