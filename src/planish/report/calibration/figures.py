@@ -15,6 +15,7 @@ from planish.report.calibration.numbers import pixels
 from planish.report.style import DIVERGING, INK, MUTED, NEUTRAL, colour, diverging_map, nice_limit, png
 from planish.sensing.calibrate.advice import bad_views, device_title
 from planish.sensing.calibrate.coverage import Coverage, cell_centres
+from planish.sensing.calibrate.point_sigmas import point_sigmas
 from planish.sensing.calibrate.result import Calibration
 from planish.sensing.calibrate.views import depths_mm, placements
 from planish.sensing.capture.board import board_points
@@ -32,10 +33,11 @@ count_map = LinearSegmentedColormap.from_list("points", ("#eef3f8", *DIVERGING[1
 def residuals_png(calibration: Calibration, item: Coverage) -> bytes:
     """Return residual vectors over the image, their means per cell, and the distribution of their components."""
     size = calibration.rig.devices[item.device].size_px
-    own = [r for r in calibration.residuals if r.device == item.device]
-    pixel = np.concatenate([r.pixel_px for r in own])
-    residual = np.concatenate([r.residual_px for r in own])
-    outlier = np.concatenate([r.outlier for r in own])
+    own = point_sigmas(calibration, item.device)
+    pixel, residual, outlier = (
+        np.concatenate(values) for values in zip(*((r.pixel_px, r.residual_px, r.outlier) for r, _ in own), strict=True)
+    )
+    normalised = np.concatenate([r.residual_px / sigma[:, None] for r, sigma in own])
     figure = Figure(figsize=(12.4, 4.6 * size[1] / size[0] + 0.75), layout="constrained")
     left, middle, right = figure.subplots(1, 3, width_ratios=(IMAGE_WIDTH, IMAGE_WIDTH, PLOT_WIDTH))
     spread(figure)
@@ -46,12 +48,11 @@ def residuals_png(calibration: Calibration, item: Coverage) -> bytes:
     shown = np.isfinite(item.mean_px).all(-1)
     means = item.mean_px[shown]
     mean_length = float(np.median(np.linalg.norm(means, axis=1))) if len(means) else 1.0
-    sigma = calibration.noise_px[item.device] / np.sqrt(item.count[shown])
-    tones = np.where((means**2).sum(1) > MEAN_CHI2 * sigma**2, OUTLIER, MUTED)
+    tones = np.where((means**2).sum(1) > MEAN_CHI2 * item.mean_sigma_px[shown] ** 2, OUTLIER, MUTED)
     _arrows(middle, cell_centres(size)[shown], means, mean_length, MEAN_SHARE, size, list(tones), 1.0)
     _image_frame(middle, size, "means over all views, per cell")
     right.set_box_aspect(size[1] / size[0] * IMAGE_WIDTH / PLOT_WIDTH)
-    _distribution(right, residual[~outlier] / calibration.noise_px[item.device], calibration.noise_px[item.device])
+    _distribution(right, normalised[~outlier], calibration.noise_px[item.device])
     return png(figure)
 
 
@@ -102,7 +103,7 @@ def _distribution(axis: Axes, normalised: Array, noise_px: float) -> None:
         axis.stairs(share, edges, color=colour(k), linewidth=1.4, label=name)
     axis.plot(middle, norm.pdf(middle), color=INK, linewidth=0.9, linestyle=(0, (4, 3)), label="normal")
     axis.set_xlim(-5, 5)
-    axis.set_xlabel(f"residual / {pixels(noise_px)} px", fontsize=8, color=MUTED)
+    axis.set_xlabel(f"residual / sigma (on the whole {pixels(noise_px)} px)", fontsize=8, color=MUTED)
     axis.set_yticks([])
     axis.legend(fontsize=8, frameon=False, loc="upper right", handlelength=1.4)
     axis.set_title("distribution", fontsize=9, color=INK, loc="left")

@@ -15,6 +15,7 @@ from planish.report.html import html_table
 from planish.report.text import count
 from planish.sensing.calibrate.advice import bad_views, device_title
 from planish.sensing.calibrate.expected_error import ExpectedError, map_rms
+from planish.sensing.calibrate.point_sigmas import point_sigmas
 from planish.sensing.calibrate.result import Calibration
 from planish.sensing.calibrate.views import placements
 
@@ -105,14 +106,15 @@ def outliers_section(calibration: Calibration) -> str:
     """Return the largest outliers one by one."""
     columns = calibration.observations.board.grid[0]
     found = []
-    for r in calibration.residuals:
+    pairs = [pair for device in calibration.rig.devices for pair in point_sigmas(calibration, device)]
+    for r, sigma in pairs:
         for i in np.flatnonzero(r.outlier):
             length = float(np.linalg.norm(r.residual_px[i]))
             device = device_title(r.device) + (f" through camera {r.through}" if r.through else "")
             row, column = divmod(int(r.index[i]), columns)
             u, v = r.pixel_px[i]
             du, dv = r.residual_px[i]
-            sigmas = length / calibration.noise_px[r.device]
+            sigmas = length / sigma[i]
             found.append((sigmas, (r.view, device, f"{column}, {row}", f"{u:.1f}, {v:.1f}", f"{du:+.3f}", f"{dv:+.3f}",
                                    f"{sigmas:.0f}")))  # fmt: skip
     total = sum(len(r.outlier) for r in calibration.residuals)
@@ -123,7 +125,7 @@ def outliers_section(calibration: Calibration) -> str:
     head += f" The {MAX_OUTLIERS} largest:</p>" if len(found) > MAX_OUTLIERS else "</p>"
     titles = (
         ("view", ""), ("device", ""), ("board point (column, row)", ""), ("at (u, v)", "px"), ("residual u", "px"),
-        ("residual v", "px"), ("over sigma", ""),
+        ("residual v", "px"), ("length over sigma", ""),
     )  # fmt: skip
     return head + html_table(titles, [row for _, row in found[:MAX_OUTLIERS]], "small second-left")
 

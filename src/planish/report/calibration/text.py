@@ -18,7 +18,8 @@ EXAMPLE_MM = 300.0
 RESIDUALS = (
     "Left: residuals (observed less adjusted), magnified as the arrow below the image says. Middle: means of all "
     "residuals of a cell, magnified more; orange where noise alone makes them so large in one cell of a thousand: "
-    "there lens or board differ from their models. Right: both components over their standard deviation."
+    "there lens or board differ from their models. Right: both components over "
+    "the standard deviation of each point, which is small where its detection says so."
 )
 ERROR_DEFINITION = (
     "Standard deviations by the calibration alone, from its covariance: the same in all measurements. The noise of a "

@@ -227,7 +227,8 @@ def error_advice(error: ExpectedError, pitch_sigma: float) -> list[str]:
         for j, name in enumerate(row)
     }
     middle = shares["centre"]
-    weak = [name for name, value in shares.items() if value > WEAK_REGION * middle]
+    # Where the scale makes nearly all of the error, boards at other places change nothing.
+    weak = [name for name, value in shares.items() if value > max(WEAK_REGION * middle, whole / 2)]
     if weak and np.isfinite(middle):
         worst = max(shares[name] for name in weak)
         out.append(

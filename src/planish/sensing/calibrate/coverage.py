@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.sensing.calibrate.expected_error import in_image
+from planish.sensing.calibrate.point_sigmas import point_sigmas
 from planish.sensing.calibrate.result import Calibration
 from planish.sensing.calibrate.views import depths_mm
 
@@ -38,6 +39,8 @@ class Coverage:
         them where there is no other device.
     mean_px : ndarray (9, 12, 2)
         Mean residual; NaN with fewer than CELL_POINTS points.
+    mean_sigma_px : ndarray (9, 12)
+        Standard deviation of each of its coordinates by noise; NaN likewise.
     systematic_px : float
         Root mean square (2-D) of the mean residuals beyond what noise explains [px].
     significance : float
@@ -48,6 +51,7 @@ class Coverage:
     count: NDArray[np.intp]
     useful: NDArray[np.bool_]
     mean_px: Array
+    mean_sigma_px: Array
     systematic_px: float
     significance: float
 
@@ -70,24 +74,25 @@ def coverage(calibration: Calibration, device: str) -> Coverage:
     Notes
     -----
     A model that does not fit leaves residuals that point the same way wherever the board stands. With noise alone,
-    n |mean|^2 / sigma^2 of a cell with n points is chi-square with two degrees of freedom.
+    |mean|^2 over the variance of a coordinate of the mean is chi-square with two degrees of freedom.
     """
     size = calibration.rig.devices[device].size_px
-    kept = [(r.pixel_px[~r.outlier], r.residual_px[~r.outlier]) for r in calibration.residuals if r.device == device]
-    pixel = np.concatenate([p for p, _ in kept]) if kept else np.empty((0, 2))
-    residual = np.concatenate([r for _, r in kept]) if kept else np.empty((0, 2))
-    cell = cell_of(pixel, size)
-    cells = CELLS[0] * CELLS[1]
+    own = [(r.pixel_px[~r.outlier], r.residual_px[~r.outlier], sigma[~r.outlier])
+           for r, sigma in point_sigmas(calibration, device)]  # fmt: skip
+    pixel, residual, sigma = (np.concatenate(values) for values in zip(*own, strict=True))
+    cell, cells = cell_of(pixel, size), CELLS[0] * CELLS[1]
     count = np.bincount(cell, minlength=cells)
     total = np.stack([np.bincount(cell, residual[:, k], cells) for k in (0, 1)], -1)
     enough = count >= CELL_POINTS
-    mean = np.where(enough[:, None], total / np.maximum(count, 1)[:, None], np.nan)
-    systematic, significance = _beyond_noise(mean[enough], count[enough], calibration.noise_px[device])
+    known = np.where(enough, np.maximum(count, 1), np.nan)
+    mean, mean_sigma = total / known[:, None], np.sqrt(np.bincount(cell, sigma**2, cells)) / known
+    systematic, significance = _beyond_noise(mean[enough], mean_sigma[enough], count[enough])
     return Coverage(
         device,
         count.reshape(CELLS),
         _useful_cells(calibration, device),
         mean.reshape(*CELLS, 2),
+        mean_sigma.reshape(CELLS),
         systematic,
         significance,
     )
@@ -107,13 +112,13 @@ def cell_centres(size_px: tuple[int, int]) -> Array:
     return np.stack(np.meshgrid(u * size_px[0] - 0.5, v * size_px[1] - 0.5), -1)
 
 
-def _beyond_noise(mean: Array, count: NDArray[np.intp], sigma_px: float) -> tuple[float, float]:
-    if len(mean) == 0 or not sigma_px > 0:
+def _beyond_noise(mean: Array, sigma: Array, count: NDArray[np.intp]) -> tuple[float, float]:
+    if len(mean) == 0 or not sigma.all():
         return 0.0, 0.0
-    squares = count * (mean**2).sum(1)
+    squares = (mean**2).sum(1)
+    excess = float((count * (squares - 2 * sigma**2)).sum() / count.sum())
     degrees = 2 * len(mean)
-    excess = float(squares.sum() - degrees * sigma_px**2)
-    return float(np.sqrt(max(0.0, excess / count.sum()))), excess / (sigma_px**2 * float(np.sqrt(2 * degrees)))
+    return float(np.sqrt(max(0.0, excess))), float(((squares / sigma**2).sum() - degrees) / np.sqrt(2 * degrees))
 
 
 def _useful_cells(calibration: Calibration, device: str) -> NDArray[np.bool_]:
