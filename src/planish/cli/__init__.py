@@ -14,7 +14,16 @@ from rich.console import Console
 from planish.errors import InputError
 
 #: One module per command; each has a function `register_command(app)`.
-COMMANDS: tuple[str, ...] = ("patterns", "simulate", "measure", "import_cloud", "register", "evaluate", "demo")
+COMMANDS: tuple[str, ...] = (
+    "patterns",
+    "simulate",
+    "measure",
+    "check_rig",
+    "import_cloud",
+    "register",
+    "evaluate",
+    "demo",
+)
 
 #: Messages and progress go to stderr; stdout carries results (tables) only.
 console = Console(stderr=True)
