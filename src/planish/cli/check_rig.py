@@ -17,6 +17,7 @@ from planish.pipeline.checking import check_calibration
 from planish.rig.parameters import PROJECTOR
 from planish.sensing.capture.manifest import Capture
 from planish.sensing.rigcheck.adjust import Adjustment
+from planish.sensing.rigcheck.estimates import MAX_LEFT_PX
 from planish.sensing.rigcheck.result import MeasurementRows, OrientationError, RigCheck
 
 #: Parts of the image, across and down, of the table of row errors.
@@ -109,16 +110,17 @@ def _unit(device: str) -> str:
 
 
 def _figures(check: RigCheck) -> list[str]:
-    assert check.mean_px is not None and check.noise_sigmas is not None and check.row_mm is not None
+    assert check.mean_px is not None
+    assert check.row_mm is not None
     against = "" if check.rig_sigmas is None else f", {check.rig_sigmas:.1f} against the rig's covariance"
     lines = [
-        f"  row error         {check.mean_px:+.3f} +- {check.sigma_px:.3f} px, varies by {check.variation_px:.3f} px over "
-        f"the image",
+        f"  row error         {check.mean_px:+.3f} +- {check.sigma_px:.3f} px, varies by {check.variation_px:.3f} px "
+        "over the image",
         f"  significance      {check.noise_sigmas:.1f} standard deviations against noise{against}",
         f"  in millimetres    {1000 * abs(check.mean_px * check.row_mm):.0f} um across the epipolar lines at "
         f"{check.distance_mm:.0f} mm",
     ]
-    if check.orientation is not None:
+    if check.orientation is not None and (check.unexplained_px or 0.0) <= MAX_LEFT_PX:
         lines += _orientation(check.orientation)
     lines.append(
         f"  not explained     {check.unexplained_px:.3f} px of pattern over the image, "
@@ -130,7 +132,7 @@ def _figures(check: RigCheck) -> list[str]:
 def _orientation(found: OrientationError) -> list[str]:
     sigma = np.degrees(np.sqrt(np.diag(found.covariance)))
     device = PROJECTOR if found.moved == PROJECTOR else f"camera {found.moved}"
-    lines = [f"  explained by      another orientation of {device}, which moves the points by {found.moves_mm:.3f} mm:"]
+    lines = [f"  orientation       of {device}, off by, which moves the points by {found.moves_mm:.3f} mm:"]
     for name, value, s in zip(found.names, np.degrees(found.change_rad), sigma, strict=True):
         lines.append(f"                    {name:<24}{value:+9.4f} +- {s:.4f} deg")
     return lines

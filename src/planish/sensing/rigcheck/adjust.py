@@ -12,6 +12,7 @@ from planish.rig import Rig
 from planish.sensing.rigcheck.check import evidence_of
 from planish.sensing.rigcheck.estimates import (
     LENS_SIGMAS,
+    MAX_LEFT_PX,
     WIDEST_RAD,
     Pattern,
     estimate_orientation,
@@ -38,8 +39,6 @@ CHANGE_SIZES_RAD = (0.0, *np.geomspace(1e-5, 0.1, 49))
 #: A change is taken for real where it makes the row errors more likely by this much (natural logarithm): with less,
 #: noise is explained as well.
 LEAST_GAIN = 4.0
-#: Where a pattern larger than this is left that no orientation explains, nothing is adjusted [px].
-MAX_LEFT_PX = 0.3
 
 
 @dataclass(frozen=True)
@@ -91,8 +90,9 @@ def adjust_orientation(pairs: Sequence[PixelPairs], rig: Rig) -> Adjustment:
     decide what they see, and what they do not see stays where it was, uncertain by s. Only the orientation is changed;
     the other parameters count as uncertain, not as unknowns (consider filter; Schmidt 1966; Joseph form).
     """
-    first = with_lens_errors(evidence_of(pairs, rig), rig)
-    pattern, (left_px, left_sigmas) = slow_pattern(first), unexplained(first, rig)
+    evidence = evidence_of(pairs, rig)
+    first, pattern = with_lens_errors(evidence, rig), slow_pattern(evidence)
+    left_px, left_sigmas = unexplained(evidence, rig)
     if left_px > MAX_LEFT_PX and left_sigmas > LENS_SIGMAS:
         return _refused(
             rig, pattern, f"a pattern of {left_px:.2f} px rms over the image is none that an orientation makes"

@@ -25,6 +25,8 @@ WIDEST_PX = 100.0
 SEEN_SHARE = 1e-3
 #: Patterns that no orientation explains are taken for real beyond so many standard deviations.
 LENS_SIGMAS = 3.0
+#: Where they are larger than this, no orientation is worth adjusting [px].
+MAX_LEFT_PX = 0.3
 #: The share of slow patterns that no orientation makes is not taken for less than this.
 LEAST_SHARE = 0.01
 
@@ -97,16 +99,16 @@ class Orientation:
     @property
     def covariance(self) -> Array:
         """Covariance (5, 5) [rad^2]; what nothing observes has WIDEST_RAD."""
-        return np.linalg.inv(self.information + np.eye(len(CHANGES)) / WIDEST_RAD**2)
+        return np.asarray(np.linalg.inv(self.information + np.eye(len(CHANGES)) / WIDEST_RAD**2), np.float64)
 
 
 def estimate_orientation(evidence: Evidence, rig: Rig | None) -> Orientation:
-    """Return the change of the orientation, against noise alone or (rig given) against what its covariance allows too."""
+    """Return the change of the orientation against noise, and (rig given) against what its covariance allows too."""
     nuisance = [(evidence.shapes, np.diag(evidence.floor_px))]
     if rig is not None and rig.covariance is not None:
         nuisance.append((evidence.by_rig, rig.modes().T))
     A, b = normal_equations(evidence, evidence.by_orientation, nuisance)
-    x = np.linalg.solve(A + np.eye(len(A)) / WIDEST_RAD**2, b)
+    x = np.asarray(np.linalg.solve(A + np.eye(len(A)) / WIDEST_RAD**2, b), np.float64)
     statistic = float(b @ np.linalg.pinv(A, rcond=1e-10, hermitian=True) @ b)
     return Orientation(x, A, equivalent_sigmas(statistic, len(CHANGES)))
 

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planish.measurement import Finding
-from planish.rig.parameters import PROJECTOR
-from planish.sensing.rigcheck.estimates import Pattern
+from planish.sensing.rigcheck.estimates import MAX_LEFT_PX, Pattern
 from planish.sensing.rigcheck.result import MeasurementRows, OrientationError, RigCheck, Status
 
 #: What the row error (rms over the image) of a rig without covariance may be [px].
@@ -95,7 +94,8 @@ def _by_stored(stored: Sequence[Finding], rows: Sequence[MeasurementRows]) -> tu
     contradiction = _contradiction(stored)
     if contradiction:
         return "does not hold", contradiction
-    known = [item for item in stored if item.value is not None]
+    # That a projector's stripes agree with the cameras says nothing of rows: they run along the stripes.
+    known = [item for item in stored if item.value is not None and item.quantity.startswith("row error")]
     if not known:
         return "not observable", "; ".join(dict.fromkeys(item.source for item in rows))
     return "holds", "; ".join(f"{item} (stored in the file)" for item in known)
@@ -115,15 +115,15 @@ def _contradiction(stored: Sequence[Finding]) -> str:
 def _not_observable(figures: Figures | None, stored: Sequence[Finding]) -> tuple[str, ...]:
     told = ["the length of the baseline, and with it the scale of all points"]
     if figures is None:
-        return tuple(told)
-    o = figures.orientation
-    index = o.names.index(o.unseen_name)
-    sigma = float(np.degrees(np.sqrt(o.covariance[index, index])))
-    told.append(
-        f"{o.unseen_name} better than +- {sigma:.2g} deg, and with it where the points are better than "
-        f"+- {o.unseen_mm:.2g} mm (rms)"
-    )
-    if o.moved != PROJECTOR:
+        told.append("the direction of the baseline and the orientation of the devices to each other")
+    else:
+        o = figures.orientation
+        index = o.names.index(o.unseen_name)
+        sigma = float(np.degrees(np.sqrt(o.covariance[index, index])))
+        told.append(
+            f"{o.unseen_name} better than +- {sigma:.2g} deg, and with it where the points are better than "
+            f"+- {o.unseen_mm:.2g} mm (rms)"
+        )
         told.append("errors of the principal distances and lenses that move points along the epipolar lines")
     for item in stored:
         if item.quantity == "projector against cameras" and item.value is not None:
@@ -133,27 +133,22 @@ def _not_observable(figures: Figures | None, stored: Sequence[Finding]) -> tuple
 
 
 def _advice(status: Status, f: Figures | None) -> tuple[str, ...]:
-    if f is None:
-        if status == "not observable":
-            return ("measure a part with texture, or project both axes and give the captures",)
-        return ("calibrate again",) if status == "does not hold" else ()
-    if status == "not observable":
-        return ("measure parts with more texture, in more of the image, and give several measurements",)
     if status == "holds":
         return ()
-    if lenses_at_fault(f):
+    if status == "not observable":
         return (
-            f"calibrate again: a pattern of {f.unexplained_px:.2f} px over the image is not one of the orientation; the "
-            "lenses, the principal distances or the images' assignment are at fault",
+            "measure parts with more texture, in more of the image, and give several measurements",
+            "or project both axes and give the captures: they need no texture",
         )
-    return (
-        "write a rig with another orientation by --adjust, measure again with it and check again; calibrate again where "
-        "depth counts, for that cannot be seen here",
-    )
-
-
-def lenses_at_fault(f: Figures | RigCheck) -> bool:
-    """Return whether row errors remain that no orientation explains."""
-    if f.unexplained_px is None or f.unexplained_sigmas is None:
-        return False
-    return f.unexplained_sigmas > SIGMAS and f.unexplained_px > LENS_PX
+    if f is None:
+        return ("calibrate again",)
+    said = []
+    if f.unexplained_sigmas > SIGMAS and f.unexplained_px > LENS_PX:
+        said.append(
+            f"calibrate again: {f.unexplained_px:.2f} px of the pattern over the image are no orientation's; lenses, "
+            "principal distances or the assignment of images and rig are at fault"
+        )
+    if f.unexplained_px <= MAX_LEFT_PX:
+        said.append("adjust the relative orientation (--adjust), measure again with the new rig and check again")
+        said.append("calibrate again where depth counts: what row errors do not see stays as it was")
+    return tuple(said)
