@@ -156,7 +156,7 @@ def _orientation_error(pairs: Sequence[PixelPairs], rig: Rig, found: Orientation
     worst = root @ modes[:, -1]
     name = CHANGES[int(np.argmax(np.abs(worst) * np.sqrt(np.diag(per_change))))]
     return OrientationError(
-        moved, fixed, CHANGES, found.change_rad, found.covariance, moves, float(np.sqrt(size.sum())), name
+        moved, fixed, CHANGES, found.change_rad, found.covariance, found.sigmas, moves, float(np.sqrt(size.sum())), name
     )  # fmt: skip
 
 

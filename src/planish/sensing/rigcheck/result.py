@@ -61,6 +61,8 @@ class OrientationError:
         Estimate from the row errors alone.
     covariance : ndarray (5, 5)
         Its covariance by noise and by what the check itself may be wrong.
+    sigmas : float
+        Its significance against noise and the patterns that lenses make.
     moves_mm : float
         Root mean square of what this change moves the points by [mm].
     unseen_mm : float
@@ -74,6 +76,7 @@ class OrientationError:
     names: tuple[str, ...]
     change_rad: Array
     covariance: Array
+    sigmas: float
     moves_mm: float
     unseen_mm: float
     unseen_name: str

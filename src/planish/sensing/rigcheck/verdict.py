@@ -17,6 +17,9 @@ LIMIT_PX = 0.1
 SIGMAS = 4.0
 #: Where the mean row error is known less well than this share of the limit, nothing is said to hold.
 KNOWN_SHARE = 0.5
+#: A rig without covariance does not hold where the orientation moves the points by more than this share of their
+#: distance, however small the row errors.
+MOVED_SHARE = 5e-4
 #: A pattern that no orientation explains is told above this [px].
 LENS_PX = 0.05
 #: Projector and cameras may disagree by so much [projector px], as in the warnings of measurements.
@@ -81,6 +84,12 @@ def _by_rows(f: Figures) -> tuple[Status, str]:
         against = f"the limit for a rig without covariance is {LIMIT_PX} px"
         beyond = p.rms_px - LIMIT_PX > SIGMAS * p.rms_sigma_px
         limit = LIMIT_PX
+        # Convergence makes small row errors and large errors of depth.
+        if f.orientation.sigmas > SIGMAS and f.orientation.moves_mm > MOVED_SHARE * f.distance_mm and not beyond:
+            return "does not hold", (
+                f"the orientation that explains the row errors ({f.orientation.sigmas:.1f} standard deviations) moves "
+                f"the points by {f.orientation.moves_mm:.2g} mm"
+            )
     said = f"row error {p.rms_px:.2f} +- {p.rms_sigma_px:.2f} px, rms over the image; {against}"
     if beyond:
         return "does not hold", said
