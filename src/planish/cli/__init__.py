@@ -17,9 +17,11 @@ from planish.errors import InputError
 COMMANDS: tuple[str, ...] = (
     "patterns",
     "simulate",
+    "simulate_board",
     "measure",
     "check_rig",
     "import_cloud",
+    "convert_rig",
     "register",
     "evaluate",
     "demo",
