@@ -10,6 +10,7 @@ camera's ray against truth, rms.
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -29,7 +30,7 @@ from planish.sensing.rigcheck.orientation import CHANGES, orientation_basis, reo
 from planish.simulation.render import trace_capture
 from planish.simulation.scenes import Scene, make_scene
 from planish.simulation.writing import write_scene
-from render_tables import save_table
+from render_tables import ROOT, save_table
 
 SCENES = ("door", "plate", "cylinder")
 SCALE = 0.5
@@ -157,7 +158,9 @@ def run(seeds: Sequence[int]) -> list[dict[str, float | int | str | None]]:
             stated = with_covariance(true, rng)
             for _ in range(2):
                 item = measured(folder, drawn(stated, rng))
-                noted(tallies.setdefault("drawn from the covariance it states", Tally()), check_calibration({"m": item}))
+                noted(
+                    tallies.setdefault("drawn from the covariance it states", Tally()), check_calibration({"m": item})
+                )
             for case, rig in changed_rigs(true) if index == 0 else ():
                 tally = tallies.setdefault(case, Tally())
                 item = measured(folder, rig)
@@ -174,10 +177,59 @@ def run(seeds: Sequence[int]) -> list[dict[str, float | int | str | None]]:
     return [tally.row(case) for case, tally in tallies.items()]
 
 
+def real_rows() -> list[dict[str, float | int | str | None]]:
+    """Return the real captures as they are and, where it is adjusted, by the adjusted rig."""
+    sys.path.extend([str(ROOT / "tests"), str(ROOT / "tests" / "real")])
+    from captures import HERE, load, plane_spread
+    from test_steel import PATCHES
+
+    from points import ball_form
+
+    if not (HERE.parents[2] / "shared" / "data").is_dir():
+        return []
+    rows: list[dict[str, float | int | str | None]] = []
+    for name in ("steel_corner_shiftline", "ball_12step"):
+        capture, rig = load(name), None
+        for what in ("as calibrated", "adjusted"):
+            item = measure(capture, None, None, rig)
+            checked = check_calibration({"m": item}, adjust=True)
+            c = checked.check
+            row = {"what": f"{name}, {what}", "mean": c.mean_px, "rms": c.rms_px, "lens": c.unexplained_px,
+                   "points": int(item.valid.sum())}  # fmt: skip
+            if name.startswith("steel"):
+                for patch, ((u0, u1), (v0, v1), _, _) in PATCHES.items():
+                    row[patch] = plane_spread(item.points_sensor[v0:v1, u0:u1][item.valid[v0:v1, u0:u1]])
+            else:
+                row["ball"] = ball_form(item)["sigma"]
+            rows.append(row)
+            if checked.adjustment is None or checked.adjustment.refusal:
+                break
+            rig = checked.adjustment.rig
+    return rows
+
+
+def save_real(rows: list[dict[str, float | int | str | None]], command: str) -> None:
+    """Save the table of the real captures."""
+    columns = {"what": "capture", "mean": "mean row error [px]", "rms": "rms over the image [px]",
+               "lens": "of it no orientation's [px]", "points": "points", "floor": "floor: plane [mm]",
+               "right wall, upper": "right wall, upper [mm]", "right wall, right": "right wall, right [mm]",
+               "ball": "disc: sphere [mm]"}  # fmt: skip
+    plane = dict.fromkeys(("floor", "right wall, upper", "right wall, right", "ball"), ".4f")
+    save_table("rig-check-real", columns, rows, command,
+               {"mean": "+.3f", "rms": ".3f", "lens": ".3f", "points": ",d", **plane})  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=[21, 22])
+    parser.add_argument("--real", action="store_true", help="the real captures alone")
     given = parser.parse_args()
+    command = "python benchmarks/rig_check.py --seeds " + " ".join(map(str, given.seeds))
+    real = real_rows()
+    if real:
+        save_real(real, command)
+    if given.real:
+        return
     rows = run(given.seeds)
     for row in rows:
         print({key: f"{value:.3g}" if isinstance(value, float) else value for key, value in row.items()})
@@ -185,8 +237,9 @@ def main() -> None:
                "not observable": "not observable", "found": "row error found [px]", "z": "mean row error / sigma, rms",
                "left": "largest row error after adjusting [px]", "before": "error along the ray before [mm]",
                "after": "after [mm]", "unseen": "what row errors leave unknown [mm]"}  # fmt: skip
-    save_table("rig-check", columns, rows, "python benchmarks/rig_check.py --seeds " + " ".join(map(str, given.seeds)),
-               {"found": ".3f", "z": ".2f", "left": ".3f", "before": ".3f", "after": ".3f", "unseen": ".2f"})  # fmt: skip
+    save_table("rig-check", columns, rows, command,
+               {"found": ".3f", "z": ".2f", "left": ".3f", "before": ".3f", "after": ".3f",
+                "unseen": ".2f"})  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -39,6 +39,10 @@ def check_rig(
     adjust: Annotated[
         Path | None, typer.Option(metavar="OUT.json", help="Write the rig with its relative orientation adjusted.")
     ] = None,
+    rig: Annotated[
+        list[Path] | None,
+        typer.Option(help="Calibration of captures, instead of their own; repeated for OpenCV's in several files."),
+    ] = None,
     images: Annotated[Path | None, typer.Option(help="Folder the image names of captures are relative to.")] = None,
     require_holds: Annotated[
         bool, typer.Option("--require-holds", help="Exit with 3 unless the calibration holds.")
@@ -47,8 +51,10 @@ def check_rig(
 ) -> None:
     """Tell whether the calibration still holds: the row error of the cameras, with significance."""
     inputs = read_inputs(measurements, images)
+    if rig and any(isinstance(item, Measurement) for item in inputs.values()):
+        raise InputError("--rig", "given with a measurement", "captures alone: a measurement was made with its own rig")
     with console.status("checking"):
-        checked = check_calibration(inputs, adjust is not None, thread_count(threads))
+        checked = check_calibration(inputs, adjust is not None, thread_count(threads), rig or None)
     for line in describe(checked.check):
         typer.echo(line)
     if adjust is not None:

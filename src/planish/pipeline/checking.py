@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from planish.measurement import Measurement
-from planish.pipeline.measuring import measure, observe_capture
+from planish.pipeline.measuring import MeasureOptions, measure, observe_capture
 from planish.sensing.capture.manifest import Capture
 from planish.sensing.patterns.encode import axis_of
 from planish.sensing.rigcheck.adjust import Adjustment, adjust_orientation
@@ -34,7 +35,10 @@ class CheckedRig:
 
 
 def check_calibration(
-    inputs: Mapping[str, Measurement | Capture], adjust: bool = False, threads: int | None = None
+    inputs: Mapping[str, Measurement | Capture],
+    adjust: bool = False,
+    threads: int | None = None,
+    rig_files: Sequence[Path] | None = None,
 ) -> CheckedRig:
     """Return whether the calibration of one sensor still holds, by all measurements together.
 
@@ -47,6 +51,8 @@ def check_calibration(
         Whether to estimate the relative orientation again.
     threads : int or None
         Number of threads; the result does not depend on it.
+    rig_files : sequence of Path or None
+        Calibration for the captures instead of their own.
 
     Raises
     ------
@@ -55,8 +61,12 @@ def check_calibration(
     """
     measurements, known = {}, {}
     for name, item in inputs.items():
-        measurements[name] = item if isinstance(item, Measurement) else measure(item, None, threads)
-        pairs = None if isinstance(item, Measurement) else _by_both_axes(item, measurements[name], threads)
+        if isinstance(item, Measurement):
+            measurements[name] = item
+            continue
+        options = MeasureOptions()
+        measurements[name] = measure(item, options, threads, item.load_rig(options.organise_on, rig_files))
+        pairs = _by_both_axes(item, measurements[name], options, threads)
         if pairs is not None:
             known[name] = pairs
     pairs_by_name = collect_pairs(measurements, known)
@@ -67,10 +77,12 @@ def check_calibration(
     return CheckedRig(check, adjust_orientation(together, common_rig(measurements)))
 
 
-def _by_both_axes(capture: Capture, measurement: Measurement, threads: int | None) -> PixelPairs | None:
+def _by_both_axes(
+    capture: Capture, measurement: Measurement, options: MeasureOptions, threads: int | None
+) -> PixelPairs | None:
     if {axis_of(entry) for entry in capture.manifest.sequence} != {"u", "v"}:
         return None
-    seen = observe_capture(capture, None, threads)
+    seen = observe_capture(capture, options, threads, measurement.rig)
     own = measurement.organised_on
     other = next((name for name in seen if name != own), None)
     if other is None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.rig import Rig
@@ -39,6 +40,8 @@ CHANGE_SIZES_RAD = (0.0, *np.geomspace(1e-5, 0.1, 49))
 #: A change is taken for real where it makes the row errors more likely by this much (natural logarithm): with less,
 #: noise is explained as well.
 LEAST_GAIN = 4.0
+#: Variance, as a share of a parameter's own, that is rounding.
+SINGULAR = 1e-12
 
 
 @dataclass(frozen=True)
@@ -87,8 +90,9 @@ def adjust_orientation(pairs: Sequence[PixelPairs], rig: Rig) -> Adjustment:
     -----
     Prior: the rig's covariance, and a change of unknown size: standard deviation s [rad] of each of CHANGES, with the s
     that makes the row errors most likely (maximum of the marginal likelihood; Bishop 2006, 3.5). Then the row errors
-    decide what they see, and what they do not see stays where it was, uncertain by s. Only the orientation is changed;
-    the other parameters count as uncertain, not as unknowns (consider filter; Schmidt 1966; Joseph form).
+    decide what they see, and what they do not see stays where it was, uncertain by s. Only the orientation is changed:
+    the part of it that the other parameters do not bring along, dx' = dx - C_xc C_cc^-1 dc, for a calibration keeps its
+    parameters in tune with each other. The covariance afterwards holds for any gain (Joseph form).
     """
     evidence = evidence_of(pairs, rig)
     first, pattern = with_lens_errors(evidence, rig), slow_pattern(evidence)
@@ -101,19 +105,18 @@ def adjust_orientation(pairs: Sequence[PixelPairs], rig: Rig) -> Adjustment:
     external = external_names(moved)
     names = with_names(rig.covariance_parameters if rig.covariance is not None else (), external)
     places = [names.index(name) for name in external]
-    root = _prior_root(rig, names)
     size = likely_change(first, rig)
     basis = orientation_basis(rig, moved, fixed)
-    L = np.column_stack([root, _placed(size * basis, places, len(names))])
+    L, own = _prior(rig, names, places, size * basis)
     allowed = without_baseline_length(rig, moved, fixed)
     total, current = np.zeros(len(external)), rig
     for _ in range(ITERATIONS):
         evidence = replace(gather(pairs, current, names), floor_px=first.floor_px)
-        gain = _placed(allowed @ _gain(evidence, L)[places], places, len(names))
+        gain = _placed(allowed @ _gain(evidence, L, own)[places], places, len(names))
         total = (gain @ (evidence.error_px + evidence.by_rig[:, places] @ total))[places]
         if not np.isfinite(total).all() or np.abs(total[:3]).max() > WIDEST_RAD:
             return _refused(rig, pattern, "the row errors do not lead to an orientation near that of the rig")
-        current = reoriented(rig, moved, fixed, total)
+        current = reoriented(rig, moved, fixed, total) if total.any() else rig
     covariance = _posterior(evidence, L, gain)
     left = slow_pattern(gather(pairs, current, ()))
     if left.rms_px > pattern.rms_px + pattern.rms_sigma_px:
@@ -145,13 +148,37 @@ def likely_change(evidence: Evidence, rig: Rig) -> float:
     return CHANGE_SIZES_RAD[best] if likely[best] - likely[0] > LEAST_GAIN else 0.0
 
 
-def _prior_root(rig: Rig, names: tuple[str, ...]) -> Array:
-    """Return L (n, k) with L L' the rig's covariance, 0 for parameters that it does not name."""
-    if rig.covariance is None:
-        return np.zeros((len(names), 0))
-    root = np.zeros((len(names), len(rig.modes())))
-    root[: len(rig.covariance_parameters)] = rig.modes().T
-    return root
+def _prior(rig: Rig, names: tuple[str, ...], places: Sequence[int], change: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Return L (n, k) with L L' the covariance before, and which columns move the orientation alone.
+
+    The others move the remaining parameters, and the orientation with them as far as it is correlated.
+    """
+    n, x = len(names), np.zeros(len(names), np.bool_)
+    x[places] = True
+    C = np.zeros((n, n))
+    if rig.covariance is not None:
+        m = len(rig.covariance_parameters)
+        C[:m, :m] = rig.covariance
+    scale = np.sqrt(np.diag(C))
+    scale[scale == 0] = 1.0
+    S = C / np.outer(scale, scale)
+    tuned = np.linalg.pinv(S[np.ix_(~x, ~x)], rcond=SINGULAR, hermitian=True)
+    rest = _root(S[np.ix_(~x, ~x)])
+    along = np.zeros((n, rest.shape[1]))
+    along[~x], along[x] = rest, S[np.ix_(x, ~x)] @ tuned @ rest
+    alone = _root(S[np.ix_(x, x)] - along[x] @ along[x].T)
+    own = np.zeros((n, alone.shape[1]))
+    own[x] = alone
+    # `places` are in the order of EXTERNAL, a mask in that of the names.
+    L = np.column_stack([along * scale[:, None], own * scale[:, None], _placed(change, places, n)])
+    return L, np.arange(L.shape[1]) >= along.shape[1]
+
+
+def _root(C: Array) -> Array:
+    """Return L with L L' = C, without what is rounding."""
+    values, vectors = np.linalg.eigh(C)
+    used = values > SINGULAR
+    return np.asarray(vectors[:, used] * np.sqrt(values[used]))
 
 
 def _placed(rows: Array, places: Sequence[int], count: int) -> Array:
@@ -160,16 +187,16 @@ def _placed(rows: Array, places: Sequence[int], count: int) -> Array:
     return out
 
 
-def _gain(evidence: Evidence, L: Array) -> Array:
+def _gain(evidence: Evidence, L: Array, own: NDArray[np.bool_]) -> Array:
     """Return K (m, n) of the linear estimate of the parameters from row errors.
 
-    K = L (1 + B' W B)^-1 B' W restricted to the parameters, B = [J L, slow patterns]: what the check itself may be
-    wrong by is estimated along with them, and thrown away.
+    K = L (1 + B' W B)^-1 B' W restricted to the columns `own` of L, B = [J L, slow patterns]: what else makes row
+    errors is estimated along with them, and thrown away.
     """
     W = evidence.information
     B = np.column_stack([evidence.by_rig @ L, evidence.floor_px * evidence.shapes])
     inner = np.linalg.solve(np.eye(B.shape[1]) + (B.T * W) @ B, B.T * W)
-    return np.asarray(L @ inner[: L.shape[1]])
+    return np.asarray(L[:, own] @ inner[: L.shape[1]][own])
 
 
 def _posterior(evidence: Evidence, L: Array, gain: Array) -> Array:

@@ -33,7 +33,7 @@ class Evidence:
     Parameters
     ----------
     error_px : ndarray (n,)
-        Row errors [px].
+        Row errors [px], of pairs that look for points of the moved device in the other one with the sign turned.
     sigma_px : ndarray (n,)
         Standard deviation of each, scatter of the places included [px].
     weight : ndarray (n,)
@@ -74,10 +74,12 @@ def gather(pairs: Sequence[PixelPairs], rig: Rig, names: Sequence[str]) -> Evide
     errors, sigmas, orientation, parameters, shapes = [], [], [], [], []
     for item in pairs:
         rows = row_errors(item, rig)
-        errors.append(rows.error_px)
+        # What lies too low in one device lies too high in the other: one sign for measurements organised on either.
+        sign = 1.0 if item.other == moved else -1.0
+        errors.append(sign * rows.error_px)
         sigmas.append(np.maximum(item.sigma_px, LEAST_SIGMA_PX))
-        orientation.append(row_error_derivatives(rig, item, rows, external) @ basis)
-        parameters.append(row_error_derivatives(rig, item, rows, names))
+        orientation.append(sign * row_error_derivatives(rig, item, rows, external) @ basis)
+        parameters.append(sign * row_error_derivatives(rig, item, rows, names))
         shapes.append(slow_patterns(item.own_px, rig.devices[item.own].size_px))
     error, sigma = np.concatenate(errors), np.concatenate(sigmas)
     J, Phi = np.concatenate(orientation), np.concatenate(shapes)
