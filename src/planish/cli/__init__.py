@@ -20,6 +20,7 @@ COMMANDS: tuple[str, ...] = (
     "simulate_board",
     "calibrate",
     "measure",
+    "check_rig",
     "import_cloud",
     "convert_rig",
     "register",
