@@ -99,7 +99,9 @@ def _adjust_without_blunders(
 
 def _place(node: Node, group: int, adjusted: Adjusted) -> PlacedMeasurement:
     T = adjusted.T_world_measurement[node.name]
+    moved = None if adjusted.calibration is None else adjusted.calibration[node.name]
     return PlacedMeasurement(
-        node.name, node.file, node.sha256, group, T, adjusted.covariance[node.name], None,
+        node.name, node.file, node.sha256, group, T, adjusted.covariance[node.name],
+        None if moved is None else moved.T @ moved,
         np.asarray(transform_points(T, node.centroid_sensor)),
     )  # fmt: skip
