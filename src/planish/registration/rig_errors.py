@@ -1,9 +1,8 @@
-"""How the points of a measurement move with the errors that its rig's covariance states, the images being what they are."""
+"""How the points of a measurement move with the errors that its rig's covariance states; the images stay."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +21,15 @@ MAX_SLOPE = 5.0
 
 
 def rig_key(rig: Rig) -> str:
-    """Return a text that is the same for rigs of the same content: their errors are the same, whatever their files."""
-    return hashlib.sha256(json.dumps(rig.to_json(), sort_keys=True).encode()).hexdigest()
+    """Return a text that is the same for rigs of the same content, whatever their files: they share their errors."""
+    numbers = [item for name in sorted(rig.devices) for item in (name, *_numbers(rig.devices[name]))]
+    covariance = () if rig.covariance is None else (rig.covariance.tobytes(), *rig.covariance_parameters)
+    return hashlib.sha256(repr((numbers, covariance)).encode()).hexdigest()
+
+
+def _numbers(device: Camera) -> tuple[bytes, ...]:
+    size = np.array(device.size_px, float)
+    return tuple(item.tobytes() for item in (device.K, device.distortion, size, device.T_camera_sensor))
 
 
 def states_errors(measurement: Measurement) -> bool:
@@ -32,7 +38,9 @@ def states_errors(measurement: Measurement) -> bool:
     return measurement.rig.covariance is not None and (measurement.correspondence_px is not None or by_projector)
 
 
-def displacements(measurement: Measurement, pixels: NDArray[np.integer]) -> Array | None:
+def displacements(
+    measurement: Measurement, pixels: NDArray[np.integer], points_sensor: Array | None = None
+) -> Array | None:
     """Return by how much points move (k, n, 3) [mm] with each mode of the rig's covariance, in the sensor frame.
 
     None where the rig states no covariance, or it is not known which devices gave the points (clouds of other
@@ -44,6 +52,8 @@ def displacements(measurement: Measurement, pixels: NDArray[np.integer]) -> Arra
         Points, and what gave them.
     pixels : ndarray (n, 2) int
         (u, v) of pixels; NaN where they hold no points.
+    points_sensor : ndarray (n, 3) or None
+        Points [mm] on the surface, seen at these pixels or between them; default the pixels' own.
 
     Notes
     -----
@@ -58,9 +68,10 @@ def displacements(measurement: Measurement, pixels: NDArray[np.integer]) -> Arra
     rig, own = measurement.rig, measurement.organised_on
     other, modes = rig.other(own), rig.modes()
     u, v = np.asarray(pixels).T
-    points = measurement.points_sensor[v, u].astype(float)
+    own_points = measurement.points_sensor[v, u].astype(float)
+    points = own_points if points_sensor is None else points_sensor
     moved = np.full((len(modes), len(points), 3), np.nan)
-    left = np.isfinite(points[:, 2])
+    left = np.isfinite(own_points[:, 2])
     if measurement.correspondence_px is not None and other is not None:
         seen = left & np.isfinite(measurement.correspondence_px[v, u, 0])
         across = _across_code_lines(measurement, u[seen], v[seen], points[seen])
