@@ -95,7 +95,13 @@ nb::tuple normal_equations(const planish::Normal& n) {
 
 planish::JointOptions joint_options(const nb::tuple& options) {
     const auto number = [&](int i) { return nb::cast<double>(options[i]); };
-    return {number(0), number(1), number(2), number(3), number(4), number(5), nb::cast<int>(options[6]),
+    return {number(0),
+            number(1),
+            number(2),
+            number(3),
+            number(4),
+            number(5),
+            nb::cast<int>(options[6]),
             nb::cast<int>(options[7])};
 }
 

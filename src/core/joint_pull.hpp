@@ -10,7 +10,7 @@ using Matrix63 = Eigen::Matrix<double, 6, 3>;
 
 /// What a displacement of the points does to the gradient of the joint cost, tile by tile of b.
 struct JointPull {
-    std::vector<Matrix63> tiles;    ///< change of J'Wr by a displacement [mm] in frame a of all points of b in the tile
+    std::vector<Matrix63> tiles;  ///< change of J'Wr by a displacement [mm] in frame a of all points of b in the tile
     std::vector<std::int64_t> pixel;  ///< flat index of the tile's pixel nearest to its middle that counts; -1 = none
     int tile_rows = 0, tile_columns = 0;
 };

@@ -53,8 +53,8 @@ def calibration_shifts(
     The refinement ends where the gradient g = J' W r of the cost vanishes. An error of the rig moves points of a by e_a
     and those of b by e_b, each with its texture: as far as residuals are concerned, points of b move by D = R e_b - e_a
     in the frame of a. P is the change of g by a displacement of all points of a tile: it holds all that the refinement
-    does, robust weights, look-up along a's rays, interpolation. A change xi of the transform is the displacement G xi of
-    a rigid motion, so that xi = -(sum P G)^-1 sum P D. Directions that the refinement leaves out do not move.
+    does, robust weights, look-up along a's rays, interpolation. A change xi of the transform is the displacement G xi
+    of a rigid motion, so that xi = -(sum P G)^-1 sum P D. Directions that the refinement leaves out do not move.
     """
     if not (states_errors(a.measurement) and states_errors(b.measurement)):
         return None
