@@ -6,7 +6,7 @@ from planish.errors import InputError
 from planish.measurement import Measurement
 from planish.pipeline import MeasureOptions, RegisterOptions, measure, register
 from planish.registration.result import PairResult, Registration
-from planish.rig import Camera, Rig
+from planish.rig import Camera, Rig, read_rig, write_rig
 from planish.sensing.capture.manifest import Capture
 
 __all__ = [
@@ -21,7 +21,9 @@ __all__ = [
     "Rig",
     "__version__",
     "measure",
+    "read_rig",
     "register",
+    "write_rig",
 ]
 
 __version__ = version("planish")

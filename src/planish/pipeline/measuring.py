@@ -67,7 +67,12 @@ class MeasureOptions(Options):
     reject: RejectOptions = RejectOptions()
 
 
-def measure(capture: Capture, options: MeasureOptions | None = None, threads: int | None = None) -> Measurement:
+def measure(
+    capture: Capture,
+    options: MeasureOptions | None = None,
+    threads: int | None = None,
+    rig: Rig | None = None,
+) -> Measurement:
     """Return the textured 3D measurement of one capture.
 
     Parameters
@@ -78,6 +83,8 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         Default: all defaults.
     threads : int or None
         Number of threads; the result does not depend on it.
+    rig : Rig or None
+        Default: the one that the manifest names.
 
     Raises
     ------
@@ -85,7 +92,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         Where manifest, rig or images are unusable; the message names the file.
     """
     options, threads = options or MeasureOptions(), thread_count(threads)
-    rig = capture.load_rig(options.organise_on)
+    rig = capture.load_rig(options.organise_on) if rig is None else rig
     own = options.organise_on
     cameras = cameras_needed(rig, capture.cameras, own, options.geometry, str(capture.path))
     views = _texture_views(options, cameras, str(capture.path))
