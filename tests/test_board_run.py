@@ -26,7 +26,8 @@ def camera():
     return looking_down((200, 150), 450.0)
 
 
-def drawn(tilt, printed=PRINTED, turned_by=np.eye(4), **options):
+def drawn(tilt, printed=PRINTED, turned_by=None, **options):
+    turned_by = np.eye(4) if turned_by is None else turned_by
     T = placed(printed, camera(), tilt, fill=0.7)
     # Camera B looks at the point that camera A looks at, from the side.
     T_seen = T.copy()
