@@ -6,6 +6,7 @@ import re
 
 import pytest
 
+import draw_boards
 import draw_conventions
 import render_tables
 from structure import ROOT
@@ -76,6 +77,12 @@ def test_the_drawings_of_the_conventions_are_those_of_their_script(tmp_path):
     for name in draw_conventions.FIGURES:
         drawn = (tmp_path / f"{name}.svg").read_text()
         assert drawn == (ROOT / "docs" / "figures" / f"{name}.svg").read_text(), "run draw_conventions.py"
+
+
+def test_the_drawing_of_the_boards_is_that_of_its_script(tmp_path):
+    draw_boards.main(tmp_path)
+    drawn = (tmp_path / "boards.svg").read_text()
+    assert drawn == (ROOT / "docs" / "figures" / "boards.svg").read_text(), "run draw_boards.py"
 
 
 def test_the_commands_of_the_readme_are_targets_of_make_and_ci_runs_its_test_command():

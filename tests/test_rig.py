@@ -151,6 +151,12 @@ def test_the_kernels_get_all_numbers_of_a_camera_in_the_documented_order():
     np.testing.assert_array_equal(camera.kernel_parameters, expected)
 
 
+def correlate(content, value):
+    """Set the correlation of the first two parameters."""
+    matrix = content["covariance"]["matrix"]
+    matrix[0][1] = matrix[1][0] = value * (matrix[0][0] * matrix[1][1]) ** 0.5
+
+
 WRONG = {
     "unknown key": (lambda c: c.update(colour="red"), "unknown key 'colour'"),
     "unknown key of a camera": (lambda c: c["cameras"]["A"].update(fov=1), "unknown key 'cameras.A.fov'"),
@@ -162,10 +168,19 @@ WRONG = {
     "three coefficients": (lambda c: c["cameras"]["A"].update(distortion=[1, 2, 3]), "A.distortion"),
     "empty image": (lambda c: c["cameras"]["A"].update(size_px=[0, 5]), "A.size_px"),
     "scaled rotation": (lambda c: c["cameras"]["A"]["T_camera_sensor"][0].__setitem__(0, 2.0), "A.T_camera_sensor"),
-    "covariance of other size": (lambda c: c["covariance"]["parameters"].pop(), "covariance.matrix"),
-    "parameter twice": (lambda c: c["covariance"]["parameters"].__setitem__(1, "A.fx"), "covariance.parameters"),
-    "negative variance": (lambda c: c["covariance"]["matrix"][0].__setitem__(0, -1.0), "covariance.matrix"),
-    "asymmetric": (lambda c: c["covariance"]["matrix"][0].__setitem__(1, 99.0), "covariance.matrix"),
+    "covariance of other size": (
+        lambda c: c["covariance"]["parameters"].pop(),
+        "found 8 rows of 8 numbers; expected 7",
+    ),
+    "parameter twice": (lambda c: c["covariance"]["parameters"].__setitem__(1, "A.fx"), "found 'A.fx' twice"),
+    "negative variance": (lambda c: c["covariance"]["matrix"][0].__setitem__(0, -1.0), "the variance of A.fx is -1"),
+    "asymmetric": (lambda c: c["covariance"]["matrix"][0].__setitem__(1, 99.0), "not symmetric: A.fx and A.cx have 99"),
+    "correlation above 1": (lambda c: correlate(c, 1.01), "that of A.cx and A.fx (1.01)"),
+    "unknown parameter": (lambda c: c["covariance"]["parameters"].__setitem__(0, "A.f"), "found 'A.f'"),
+    "parameter of no device": (
+        lambda c: c["covariance"]["parameters"].__setitem__(0, "C.fx"),
+        "devices A, B, projector",
+    ),
 }
 
 
@@ -199,7 +214,7 @@ def write_opencv(path, **matrices):
 def test_an_opencv_calibration_maps_points_of_the_left_camera_into_the_right(tmp_path):
     R, t = geometry.exp_so3([0.01, 0.2, 0.0]), np.array([[-217.0], [1.0], [20.0]])
     intrinsic = write_opencv(tmp_path / "in.yml", M1=K, D1=np.zeros((1, 5)), M2=K, D2=[[-0.1, 0, 0, 0, 0]])
-    rig = read_opencv_rig([intrinsic, write_opencv(tmp_path / "ex.yml", R=R, T=t)], SIZE_PX)
+    rig = read_opencv_rig([intrinsic, write_opencv(tmp_path / "ex.yml", R=R, T=t)], SIZE_PX).rig
     np.testing.assert_array_equal(rig.cameras["A"].T_camera_sensor, np.eye(4))
     x = np.array([10.0, 20.0, 900.0])
     np.testing.assert_allclose(
@@ -231,3 +246,21 @@ def test_a_missing_opencv_matrix_is_named(tmp_path):
     path = write_opencv(tmp_path / "all.yml", M1=K, D1=np.zeros(5), M2=K, D2=np.zeros(5), R=np.eye(3))
     with pytest.raises(InputError, match="no matrix named T or Tlr"):
         read_opencv_rig([path], SIZE_PX)
+
+
+def test_a_covariance_of_very_different_units_is_checked_in_each(tmp_path):
+    # 0.05 px and 10 microrad: against the largest variance of all, the wrong sign of the small one would be rounding.
+    names = ("A.fx", "B.rotation_x", "B.rotation_y")
+    matrix = np.diag([2.5e-3, 1e-10, 1e-10])
+    rig = Rig(make_rig().cameras, None, matrix, names)
+    rig.save(tmp_path / "rig.json")
+    np.testing.assert_array_equal(Rig.load(tmp_path / "rig.json").covariance, matrix)
+    matrix[1, 2] = matrix[2, 1] = 1.1e-10
+    Rig(rig.cameras, None, matrix, names).save(tmp_path / "wrong.json")
+    with pytest.raises(InputError, match=r"B\.rotation_[xy] and B\.rotation_[xy] \(1\.1\)"):
+        Rig.load(tmp_path / "wrong.json")
+
+
+def test_the_frame_of_a_camera_that_the_rig_has_not_is_refused():
+    with pytest.raises(InputError, match="frame: found 'C'; expected a camera of the rig: A, B"):
+        make_rig().in_frame_of("C")

@@ -86,6 +86,29 @@ planish::SurfaceTexture texture(const nb::dict& values) {
             get<double>(values, "half_t")};
 }
 
+planish::SurfacePrint print(const nb::dict& values) {
+    const auto x = get<Vector>(values, "x_edges"), y = get<Vector>(values, "y_edges");
+    const auto factors = get<Map>(values, "factors");
+    const auto rows = get<Matrix>(values, "discs");            // x y radius factor
+    const auto affine = get<Matrix>(values, "print_surface");  // (2, 3)
+    if (x.size() < 2 || y.size() < 2 || factors.shape(0) + 1 != y.size() || factors.shape(1) + 1 != x.size() ||
+        rows.shape(1) != 4 || affine.shape(0) != 2 || affine.shape(1) != 3) {
+        throw std::invalid_argument("print: edges, factors, discs or map have the wrong size");
+    }
+    std::vector<planish::SurfacePrint::Disc> discs;
+    for (std::size_t i = 0; i < rows.shape(0); ++i) discs.push_back({rows(i, 0), rows(i, 1), rows(i, 2), rows(i, 3)});
+    Eigen::Matrix2d linear;
+    linear << affine(0, 0), affine(0, 1), affine(1, 0), affine(1, 1);
+    return {{x.data(), x.data() + x.size()},
+            {y.data(), y.data() + y.size()},
+            {factors.data(), factors.data() + factors.size()},
+            std::move(discs),
+            linear,
+            {affine(0, 2), affine(1, 2)},
+            get<bool>(values, "repeat_x"),
+            get<bool>(values, "repeat_y")};
+}
+
 planish::Illumination illumination(const nb::dict& v) {
     return {get<double>(v, "reference_distance"), get<double>(v, "specular"),
             get<double>(v, "roughness"),          get<double>(v, "ambient"),
@@ -99,7 +122,9 @@ planish::RenderScene scene(const nb::dict& v) {
                              surface(get<nb::dict>(v, "surface")),
                              texture(get<nb::dict>(v, "texture")),
                              illumination(get<nb::dict>(v, "light")),
+                             std::nullopt,
                              std::nullopt};
+    if (v.contains("print")) out.print = print(get<nb::dict>(v, "print"));
     if (v.contains("background")) {
         const auto b = get<nb::dict>(v, "background");
         out.background = planish::BackgroundPlane{vector3(b, "origin"), vector3(b, "axis_x"), vector3(b, "axis_y"),
@@ -183,6 +208,21 @@ void albedo(const nb::dict& texture_values, const Matrix& at,
     for (std::size_t i = 0; i < at.shape(0); ++i) out(i) = what.albedo(at(i, 0), at(i, 1), cursor);
 }
 
+void print_factor(const nb::dict& print_values, const Matrix& at, const Matrix& footprints,
+                  nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> out) {
+    const planish::SurfacePrint what = print(print_values);
+    if (at.shape(0) != out.size() || at.shape(1) != 2 || footprints.shape(0) != out.size() ||
+        footprints.shape(1) != 4) {
+        throw std::invalid_argument("print: places, footprints and output differ in size");
+    }
+    planish::SurfacePrint::Cursor cursor;
+    for (std::size_t i = 0; i < at.shape(0); ++i) {
+        const planish::SurfacePrint::Footprint footprint{{footprints(i, 0), footprints(i, 1)},
+                                                         {footprints(i, 2), footprints(i, 3)}};
+        out(i) = what.factor(at(i, 0), at(i, 1), footprint, cursor);
+    }
+}
+
 void normal_numbers(std::uint64_t seed, std::uint64_t stream,
                     nb::ndarray<float, nb::ndim<1>, nb::c_contig, nb::device::cpu> out) {
     planish::normal_numbers(seed, stream, 0, {out.data(), out.size()});
@@ -198,5 +238,6 @@ void bind_simulation(nb::module_& m) {
     m.def("trace_image", &simulation::trace, "True points (H, W, 3) in the object frame and their mask (H, W).");
     m.def("intersect_surface", &simulation::intersect, "Per ray: point, normal, s, t into (N, 8); misses stay.");
     m.def("texture_albedo", &simulation::albedo, "Reflectance at (s, t) (N, 2).");
+    m.def("print_factor", &simulation::print_factor, "Factor of a print at (s, t) (N, 2), over footprints (N, 4).");
     m.def("normal_numbers", &simulation::normal_numbers, "Standard normal numbers of one stream.");
 }

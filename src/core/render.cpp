@@ -102,14 +102,15 @@ class RowShader {
 
     void shade(const Expansion& around, int column) {
         const int n = rows.scale;
+        const SurfacePrint::Footprint footprint = around.footprint(n);
         for (int j = 0; j < n; ++j) {
             RowHint hint;
             for (int i = 0; i < n; ++i) {
                 const double dx = (i + 0.5) / n - 0.5, dy = (j + 0.5) / n - 0.5;
                 const Eigen::Vector2d pixel(column - pad_ + dx, next_ + dy);
-                const Contribution value = around.smooth() ? contribution(around.at(dx, dy))
+                const Contribution value = around.smooth() ? contribution(around.at(dx, dy), footprint)
                                            : around.edge() ? edge_contribution(pixel)
-                                                           : contribution(tracer_.sample(pixel, hint));
+                                                           : contribution(tracer_.sample(pixel, hint), footprint);
                 const std::size_t at = rows.row(j) + static_cast<std::size_t>(i) * rows.width + column;
                 rows.projected[at] = value.projected;
                 rows.constant[at] = value.constant;
@@ -119,14 +120,16 @@ class RowShader {
         }
     }
 
-    Contribution contribution(const Sample& sample) {
+    Contribution contribution(const Sample& sample, const SurfacePrint::Footprint& footprint) {
         if (sample.patch < 0) return {};
         const bool on_part = sample.patch != kBackgroundPatch;
         const SurfaceTexture& texture = on_part ? scene_.texture : scene_.background->texture;
         const auto light = [&](Sample::Slot slot) { return static_cast<float>(sample.value[slot]); };
         const double u = sample.value[Sample::u], v = sample.value[Sample::v];
-        const auto albedo = static_cast<float>(
-            texture.albedo(sample.value[Sample::s], sample.value[Sample::t], on_part ? on_part_ : on_background_));
+        const double s = sample.value[Sample::s], t = sample.value[Sample::t];
+        double reflected = texture.albedo(s, t, on_part ? on_part_ : on_background_);
+        if (on_part && scene_.print) reflected *= scene_.print->factor(s, t, footprint, on_print_);
+        const auto albedo = static_cast<float>(reflected);
         float gain = bilinear(patterns_.gain, u, v);
         // First harmonic of the dark lines between projector pixels; the lens passes no more.
         const auto depth = static_cast<float>(0.5 * patterns_.grid_depth);
@@ -148,7 +151,7 @@ class RowShader {
             if (k % kRays == 0) hint = {};
             const int row = k / kRays, column = k % kRays;
             const Eigen::Vector2d offset((column + 0.5) / kRays - 0.5, (row + 0.5) / kRays - 0.5);
-            rays[k] = contribution(tracer_.sample(pixel + offset / rows.scale, hint));
+            rays[k] = contribution(tracer_.sample(pixel + offset / rows.scale, hint), {});
         }
         const auto weaker = [](const Contribution& a, const Contribution& b) { return a.projected < b.projected; };
         const Contribution& strongest = *std::max_element(rays.begin(), rays.end(), weaker);
@@ -172,6 +175,7 @@ class RowShader {
     Tracer tracer_;
     CosineTable cosine_;
     SurfaceTexture::Cursor on_part_, on_background_;
+    SurfacePrint::Cursor on_print_;
     int pad_, next_ = 0;
     std::vector<Sample> lines_[3];
 };

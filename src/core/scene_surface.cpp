@@ -137,11 +137,15 @@ Hit Surface::intersect_cylinder(const Ray& ray) const {
     const double ox = ray.origin.x(), oz = ray.origin.z() + radius, dx = ray.direction.x(), dz = ray.direction.z();
     const double a = dx * dx + dz * dz, b = ox * dx + oz * dz, c = ox * ox + oz * oz - radius * radius;
     const double discriminant = b * b - a * c;
-    if (!(discriminant > 0) || !(b < 0)) return {};
-    // The nearer root without cancellation: c / (-b + sqrt) instead of (-b - sqrt) / a.
-    const double distance = c / (-b + std::sqrt(discriminant));
+    const bool hollow = radius < 0;
+    if (!(discriminant > 0) || !(hollow || b < 0)) return {};
+    // From outside the nearer root without cancellation, c / (-b + sqrt) instead of (-b - sqrt) / a; from inside the
+    // further one.
+    const double root = std::sqrt(discriminant);
+    const double distance = !hollow ? c / (-b + root) : b > 0 ? -c / (b + root) : (root - b) / a;
+    const double sign = hollow ? -1.0 : 1.0;
     const Eigen::Vector3d p = ray.at(distance), normal(p.x() / radius, 0, (p.z() + radius) / radius);
-    const double s = radius * std::atan2(p.x(), p.z() + radius);
+    const double s = radius * std::atan2(sign * p.x(), sign * (p.z() + radius));
     if (!inside(s, p.y())) return {};
     return make_hit(ray, distance, normal, s, p.y(), 0);
 }

@@ -37,7 +37,7 @@ struct Surface {
 
     Kind kind = Kind::plate;
     double half_s = 500, half_t = 350, corner = 0;  ///< outline in (s, t): rectangle with rounded corners [mm]
-    double radius = 400;                            ///< cylinder
+    double radius = 400;                            ///< cylinder; < 0: a shallow hollow, seen from inside
     double amplitude = 0.5, wavelength = 40;        ///< waves: amplitude cos(2 pi x / wavelength)
     double step = 0.2;                              ///< step: height of x >= 0 above x < 0
     Door door;

@@ -97,6 +97,11 @@ Sample Expansion::at(double x, double y) const {
     return out;
 }
 
+SurfacePrint::Footprint Expansion::footprint(int samples) const {
+    if (edge_ || here_->patch < 0) return {};
+    return {du_.head<2>().matrix() / samples, dv_.head<2>().matrix() / samples};
+}
+
 void trace_image(const RenderScene& scene, const std::optional<Eigen::Vector3d>& other_center, Image<double> points,
                  Image<std::uint8_t> lit, int threads) {
     const Tracer tracer(scene);

@@ -8,6 +8,7 @@
 #include "core/illumination.hpp"
 #include "core/image.hpp"
 #include "core/scene_surface.hpp"
+#include "core/surface_print.hpp"
 #include "core/surface_texture.hpp"
 
 namespace planish {
@@ -25,6 +26,7 @@ struct RenderScene {
     SurfaceTexture texture;
     Illumination light;
     std::optional<BackgroundPlane> background;
+    std::optional<SurfacePrint> print;
 };
 
 inline constexpr int kBackgroundPatch = 1000;
@@ -77,6 +79,8 @@ class Expansion {
     [[nodiscard]] bool edge() const { return edge_; }
     /// The sample at an offset of up to half a pixel.
     [[nodiscard]] Sample at(double x, double y) const;
+    /// How far one of `samples` per pixel and axis reaches on the surface; a point at edges.
+    [[nodiscard]] SurfacePrint::Footprint footprint(int samples) const;
 
   private:
     using Values = Eigen::Array<double, 8, 1>;

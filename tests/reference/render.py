@@ -7,6 +7,7 @@ from planish.geometry import invert, transform_points
 from planish.sensing.patterns.sequences import axis_of, projector_profile
 from planish.simulation.sensor import projector_gain, sensor_response
 from planish.simulation.texture import reflectance
+from reference import surface_print
 
 
 def grey_value(scene, index, camera, u, v, entry):
@@ -39,6 +40,8 @@ def _radiance(scene, T, device, pixels, entry):
     to_eye /= np.linalg.norm(to_eye, axis=1)[:, None]
     irradiance = (reference / distance) ** 2
     albedo = reflectance(scene.texture, scene.surface, st, scene.seed)
+    if scene.printed is not None:
+        albedo = albedo * surface_print.factor(scene.printed, st)
     light = scene.light
     cosine = (normals * to_light).sum(1)
     direct = albedo * cosine + light.specular * _ggx(normals, to_light, to_eye, light.roughness) * cosine
@@ -68,6 +71,8 @@ def _ggx(n, light, eye, alpha):
 
 def _pattern(sensor, size_px, entry, at):
     values, blur = projector_profile(entry, size_px), sensor.projector_blur_px
+    if not values.any():
+        return 0.0
     distance = at[:, [0 if axis_of(entry) == "u" else 1]] - np.arange(len(values))
     profile = (ndtr((distance + 0.5) / blur) - ndtr((distance - 0.5) / blur)) @ values
     gain = projector_gain(sensor, size_px)

@@ -14,7 +14,19 @@ from rich.console import Console
 from planish.errors import InputError
 
 #: One module per command; each has a function `register_command(app)`.
-COMMANDS: tuple[str, ...] = ("patterns", "simulate", "measure", "import_cloud", "register", "evaluate", "demo")
+COMMANDS: tuple[str, ...] = (
+    "patterns",
+    "simulate",
+    "simulate_board",
+    "calibrate",
+    "measure",
+    "check_rig",
+    "import_cloud",
+    "convert_rig",
+    "register",
+    "evaluate",
+    "demo",
+)
 
 #: Messages and progress go to stderr; stdout carries results (tables) only.
 console = Console(stderr=True)

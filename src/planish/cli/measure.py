@@ -91,6 +91,10 @@ def _views(text: str) -> tuple[str, ...]:
 def measure(
     captures: Annotated[list[Path], typer.Argument(metavar="CAPTURE...", help="capture.json, or folders of them.")],
     out: Annotated[Path, typer.Option(help="Folder for the measurements, one <name>.h5 each.")],
+    rig: Annotated[
+        list[Path] | None,
+        typer.Option(help="Calibration to use instead of the captures' own; repeated for OpenCV's in several files."),
+    ] = None,
     images: Annotated[Path | None, typer.Option(help="Folder the image names are relative to.")] = None,
     organise_on: Annotated[str, typer.Option(help="Camera whose pixel grid organises the points: A or B.")] = "A",
     geometry: Annotated[
@@ -113,7 +117,7 @@ def measure(
         task = progress.add_task("measuring", total=len(found))
         for capture in found:
             progress.update(task, description=f"measuring {capture.name}")
-            measurement = measure_capture(capture, options, count)
+            measurement = measure_capture(capture, options, count, capture.load_rig(options.organise_on, rig or None))
             measurement.save(out / f"{measurement.name}.h5")
             typer.echo(summary(measurement))
             _say(measurement, findings)

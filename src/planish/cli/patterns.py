@@ -17,11 +17,11 @@ from planish.sensing.patterns.sequences import SEQUENCES, named_sequence, with_e
 AXES = {"u": ("u",), "v": ("v",), "both": ("u", "v")}
 
 
-def parse_size(text: str) -> tuple[int, int]:
-    """Return (width, height) of a text such as 1280x800."""
+def parse_size(text: str, option: str = "--projector") -> tuple[int, int]:
+    """Return (width, height) of a text such as 1280x800; an error names the option."""
     found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text.strip().lower())
     if found is None:
-        raise InputError("--projector", f"found '{text}'", "WIDTHxHEIGHT in px, for example 1280x800")
+        raise InputError(option, f"found '{text}'", "WIDTHxHEIGHT in px, for example 1280x800")
     return int(found[1]), int(found[2])
 
 

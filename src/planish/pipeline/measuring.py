@@ -26,6 +26,7 @@ from planish.sensing.checks.swapped import check_rig
 from planish.sensing.decode import DecodeOptions
 from planish.sensing.exposures import merge_exposures, split_exposures
 from planish.sensing.observe import Observation, with_phases
+from planish.sensing.points.axes import axis_weights
 from planish.sensing.points.correlate import CorrelateOptions
 from planish.sensing.points.locate import (
     Geometry,
@@ -66,7 +67,12 @@ class MeasureOptions(Options):
     reject: RejectOptions = RejectOptions()
 
 
-def measure(capture: Capture, options: MeasureOptions | None = None, threads: int | None = None) -> Measurement:
+def measure(
+    capture: Capture,
+    options: MeasureOptions | None = None,
+    threads: int | None = None,
+    rig: Rig | None = None,
+) -> Measurement:
     """Return the textured 3D measurement of one capture.
 
     Parameters
@@ -77,6 +83,8 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         Default: all defaults.
     threads : int or None
         Number of threads; the result does not depend on it.
+    rig : Rig or None
+        Default: the one that the manifest names.
 
     Raises
     ------
@@ -84,7 +92,7 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
         Where manifest, rig or images are unusable; the message names the file.
     """
     options, threads = options or MeasureOptions(), thread_count(threads)
-    rig = capture.load_rig(options.organise_on)
+    rig = capture.load_rig(options.organise_on) if rig is None else rig
     own = options.organise_on
     cameras = cameras_needed(rig, capture.cameras, own, options.geometry, str(capture.path))
     views = _texture_views(options, cameras, str(capture.path))
@@ -120,7 +128,27 @@ def measure(capture: Capture, options: MeasureOptions | None = None, threads: in
             *located.findings,
             coverage,
         ),
+        position_px=None if layout.statistical else located.phase.position_px,
+        projector_weights=axis_weights(seen[own].phases),
     )
+
+
+def observe_capture(
+    capture: Capture,
+    options: MeasureOptions | None = None,
+    threads: int | None = None,
+    rig: Rig | None = None,
+) -> Mapping[str, Observation]:
+    """Return what each camera of a capture saw, as `measure` uses it: positions without errors of their wave form.
+
+    Parameters and errors are those of `measure`.
+    """
+    options, threads = options or MeasureOptions(), thread_count(threads)
+    rig = capture.load_rig(options.organise_on) if rig is None else rig
+    cameras = cameras_needed(rig, capture.cameras, options.organise_on, options.geometry, str(capture.path))
+    exposures = _exposures(capture, rig)
+    seen = _observe(capture, exposures, rig, cameras, options, threads)
+    return _straighten(seen, exposures[0].layout, options.reject, threads)
 
 
 def _straighten(

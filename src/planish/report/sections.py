@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from html import escape
 
@@ -40,7 +39,7 @@ def measurements_section(registration: Registration, prepared: Mapping[str, Prep
 
 
 def view_section(registration: Registration) -> str:
-    """Return the table of the measurements."""
+    """Return the 3D view with its controls; `view.js` fills it."""
     boxes = "".join(
         f'<label><input type="checkbox" data-measurement="{i}">{name_tag(registration, m.name)}</label>'
         for i, m in enumerate(registration.measurements)
@@ -61,7 +60,7 @@ def view_section(registration: Registration) -> str:
 
 
 def overlap_section(registration: Registration) -> str:
-    """Return the 3D view with its controls; `view.js` fills it."""
+    """Return the table of the overlap errors with its definition."""
     rows = table.pair_rows(registration)
     if not rows:
         return "<p>No pair was accepted.</p>"
@@ -85,7 +84,7 @@ def truth_section(evaluation: Evaluation) -> str:
 
 
 def refused_section(registration: Registration) -> str:
-    """Return the errors against truth."""
+    """Return the refused pairs with their reasons."""
     rows = [
         (f"{p.a}, {p.b}", p.reason, str(p.matches), str(p.consensus))
         for p in registration.pairs
@@ -95,9 +94,3 @@ def refused_section(registration: Registration) -> str:
         return ""
     columns = (("pair", ""), ("reason", ""), ("matches", ""), ("consensus", ""))
     return "<h2>Refused pairs</h2>" + html_table(columns, rows, "text")
-
-
-def details(title: str, content: Mapping[str, object]) -> str:
-    """Return a folded block of JSON."""
-    """Return the refused pairs with their reasons."""
-    return f"<details><summary>{title}</summary><pre>{escape(json.dumps(content, indent=2))}</pre></details>"

@@ -13,10 +13,13 @@ from planish.rig.parameters import DEVICE_PARAMETERS, DISTORTION, EXTERNAL_PART,
 from planish.rig.rig import Rig
 
 
-def project_with_derivatives(camera: Camera, points_sensor: NDArray[np.floating]) -> tuple[Array, Array, Array]:
+def project_with_derivatives(
+    camera: Camera, points_sensor: NDArray[np.floating], parameters: Sequence[int] | None = None
+) -> tuple[Array, Array, Array]:
     """Return pixels (N, 2) of points (N, 3) [mm], their derivatives by the point (N, 2, 3) and by the parameters.
 
-    The latter are (N, 2, 23), in the order of DEVICE_PARAMETERS. Points must lie in front of the camera.
+    The latter are (N, 2, n), in the order of `parameters`: places in DEVICE_PARAMETERS, by default all 23. Points must
+    lie in front of the camera.
     """
     R, t = camera.T_camera_sensor[:3, :3], camera.T_camera_sensor[:3, 3]
     y = np.asarray(points_sensor, float) @ R.T + t
@@ -25,15 +28,23 @@ def project_with_derivatives(camera: Camera, points_sensor: NDArray[np.floating]
     fx, fy, skew = camera.K[0, 0], camera.K[1, 1], camera.K[0, 1]
     pixels = np.stack([fx * d[:, 0] + skew * d[:, 1] + camera.K[0, 2], fy * d[:, 1] + camera.K[1, 2]], -1)
     by_point = _by_point(camera, y, n)
-    by_parameter = np.zeros((len(y), 2, len(DEVICE_PARAMETERS)))
-    by_parameter[:, 0, 0], by_parameter[:, 1, 1] = d[:, 0], d[:, 1]
-    by_parameter[:, 0, 2] = by_parameter[:, 1, 3] = 1.0
-    by_parameter[:, 0, 4] = d[:, 1]
-    lens = slice(len(INTRINSICS), len(INTRINSICS) + len(DISTORTION))
-    by_parameter[:, :, lens] = np.einsum("ij,njk->nik", camera.K[:2, :2], _distortion_by_coefficients(camera, n))
+    wanted = range(len(DEVICE_PARAMETERS)) if parameters is None else parameters
+    by_parameter = np.zeros((len(y), 2, len(wanted)))
     # y -> y + omega x y + tau.
-    by_parameter[:, :, EXTERNAL_PART.start : EXTERNAL_PART.start + 3] = np.cross(y[:, None], by_point)
-    by_parameter[:, :, EXTERNAL_PART.start + 3 :] = by_point
+    turning = np.cross(y[:, None], by_point) if any(place >= EXTERNAL_PART.start for place in wanted) else by_point
+    coefficients = _DistortionTerms(camera, n)
+    for column, place in enumerate(wanted):
+        out = by_parameter[:, :, column]
+        if place >= EXTERNAL_PART.start:
+            axis = place - EXTERNAL_PART.start
+            out[:] = turning[..., axis] if axis < 3 else by_point[..., axis - 3]
+        elif place >= len(INTRINSICS):
+            term = coefficients.by(place - len(INTRINSICS))
+            out[:, 0] = fx * term[:, 0] + skew * term[:, 1]
+            out[:, 1] = fy * term[:, 1]
+        else:
+            row, value = ((0, d[:, 0]), (1, d[:, 1]), (0, 1.0), (1, 1.0), (0, d[:, 1]))[place]
+            out[:, row] = value
     return pixels, by_point @ R, by_parameter
 
 
@@ -47,22 +58,31 @@ def _by_point(camera: Camera, y: Array, n: Array) -> Array:
     return by_direction @ (perspective / y[:, 2, None, None])
 
 
-def _distortion_by_coefficients(camera: Camera, n: Array) -> Array:
-    """Derivative (N, 2, 12) of the distorted direction by the coefficients in OpenCV's order."""
-    k1, k2, _, _, k3, k4, k5, k6 = camera.distortion[:8]
-    x, y = n.T
-    r2 = x * x + y * y
-    below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
-    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / below
-    out = np.zeros((len(n), 2, len(DISTORTION)))
-    for power, above_at, below_at in ((1, 0, 5), (2, 1, 6), (3, 4, 7)):
-        out[:, :, above_at] = n * (r2**power / below)[:, None]
-        out[:, :, below_at] = -n * (radial * r2**power / below)[:, None]
-    out[:, :, 2] = np.stack([2 * x * y, r2 + 2 * y * y], -1)
-    out[:, :, 3] = np.stack([r2 + 2 * x * x, 2 * x * y], -1)
-    out[:, 0, 8], out[:, 0, 9] = r2, r2 * r2
-    out[:, 1, 10], out[:, 1, 11] = r2, r2 * r2
-    return out
+class _DistortionTerms:
+    """Derivatives (N, 2) of the distorted directions by single coefficients."""
+
+    def __init__(self, camera: Camera, n: Array) -> None:
+        k1, k2, _, _, k3, k4, k5, k6 = camera.distortion[:8]
+        self.n, self.r2 = n, (n * n).sum(1)
+        r2 = self.r2
+        self.below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        self.radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / self.below
+
+    def by(self, coefficient: int) -> Array:
+        """Derivative (N, 2) by the coefficient of this place in OpenCV's order."""
+        name, n, r2 = DISTORTION[coefficient], self.n, self.r2
+        if name in ("k1", "k2", "k3"):
+            return n * (r2 ** int(name[1]) / self.below)[:, None]
+        if name in ("k4", "k5", "k6"):
+            return -n * (self.radial * r2 ** (int(name[1]) - 3) / self.below)[:, None]
+        if name in ("p1", "p2"):
+            own = ("p2", "p1").index(name)
+            term = np.stack([2 * n[:, 0] * n[:, 1]] * 2, -1)
+            term[:, own] = r2 + 2 * n[:, own] ** 2
+            return term
+        term = np.zeros((len(n), 2))
+        term[:, 0 if name in ("s1", "s2") else 1] = r2 if name in ("s1", "s3") else r2 * r2
+        return term
 
 
 def point_derivatives(

@@ -19,7 +19,7 @@ from planish.rig.camera import Camera
 from planish.rig.parameters import PROJECTOR, change_camera, covariance_in_frame, selection, split_name
 
 SCHEMA = "planish.rig/1"
-#: Rounding that a covariance in a file may carry, relative to its largest element.
+#: Rounding that a covariance in a file may carry, as a share of the standard deviations.
 COVARIANCE_TOLERANCE = 1e-9
 #: Share of the largest eigenvalue below which a mode of the covariance is rounding.
 MODE_SHARE = 1e-14
@@ -57,6 +57,8 @@ class Rig:
 
     def in_frame_of(self, camera: str) -> Rig:
         """Return the same rig with the frame of one of its cameras as sensor frame; its covariance goes with it."""
+        if camera not in self.cameras:
+            raise InputError("frame", f"found '{camera}'", f"a camera of the rig: {', '.join(self.cameras)}")
         T_sensor_camera = invert(self.cameras[camera].T_camera_sensor)
 
         def move(item: Camera) -> Camera:
@@ -146,15 +148,40 @@ class _CovarianceFile(Strict):
     matrix: list[list[float]]
 
     def checked(self, subject: str) -> tuple[Array, tuple[str, ...]]:
-        n = len(self.parameters)
-        expected = f"a symmetric, positive semidefinite matrix ({n}, {n}), one row per name in 'parameters'"
-        matrix = require_array(self.matrix, (n, n), f"{subject}.matrix", expected)
-        slack = COVARIANCE_TOLERANCE * np.abs(matrix).max()
-        if np.abs(matrix - matrix.T).max() > slack or np.linalg.eigvalsh(matrix).min() < -slack:
-            raise InputError(f"{subject}.matrix", "found a matrix that is no covariance", expected)
-        if len(set(self.parameters)) != n:
-            raise InputError(f"{subject}.parameters", "found a name twice", "each name once")
-        return matrix, tuple(self.parameters)
+        names, n = self.parameters, len(self.parameters)
+        twice = next((name for i, name in enumerate(names) if name in names[:i]), None)
+        if twice is not None:
+            raise InputError(f"{subject}.parameters", f"found '{twice}' twice", "each name once")
+        lengths = {len(row) for row in self.matrix}
+        if len(self.matrix) != n or lengths != {n}:
+            found = f"found {len(self.matrix)} rows of {' or '.join(map(str, sorted(lengths)))} numbers"
+            raise InputError(f"{subject}.matrix", found, f"{n} rows of {n} numbers, one per name in 'parameters'")
+        matrix = np.array(self.matrix)
+        _require_covariance(matrix, names, f"{subject}.matrix")
+        return matrix, tuple(names)
+
+
+def _require_covariance(matrix: Array, names: Sequence[str], subject: str) -> None:
+    """Raise an error that names the parameters where a matrix is not symmetric or not positive semidefinite."""
+    expected = "a symmetric, positive semidefinite matrix, its units those of the parameters, squared"
+    variance = np.diag(matrix)
+    worst = int(variance.argmin())
+    if variance[worst] < -COVARIANCE_TOLERANCE * np.abs(variance).max():
+        raise InputError(subject, f"the variance of {names[worst]} is {variance[worst]:.3g}", expected)
+    # Parameters differ by many orders of magnitude: only correlations can be compared with one limit.
+    scale = np.sqrt(np.where(variance > 0, variance, 1.0))
+    correlation = matrix / np.outer(scale, scale)
+    i, j = np.unravel_index(np.abs(correlation - correlation.T).argmax(), matrix.shape)
+    if abs(correlation[i, j] - correlation[j, i]) > COVARIANCE_TOLERANCE:
+        pair = f"{names[i]} and {names[j]}"
+        raise InputError(subject, f"not symmetric: {pair} have {matrix[i, j]:.6g} and {matrix[j, i]:.6g}", expected)
+    values, vectors = np.linalg.eigh(correlation)
+    if values[0] < -COVARIANCE_TOLERANCE:
+        first, second = np.argsort(-np.abs(vectors[:, 0]))[:2]
+        raise InputError(
+            subject, f"not positive semidefinite: correlations like that of {names[first]} and {names[second]} "
+            f"({correlation[first, second]:.3g}) contradict each other or exceed 1", expected,
+        )  # fmt: skip
 
 
 class _RigFile(Strict):

@@ -111,6 +111,8 @@ def _kernel_scene(scene: Scene, T_object_sensor: Array, camera: str) -> dict[str
         "texture": kernel_texture(scene.texture, surface.half_s, surface.half_t, scene.seed, sample_mm),
         "light": kernel_light(scene.light, rig, T_object_sensor),
     }
+    if scene.printed is not None:
+        values["print"] = scene.printed.kernel_values
     if scene.background is not None:
         x, y, z, origin = T_object_sensor[:3].T
         values["background"] = {

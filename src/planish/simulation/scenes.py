@@ -13,6 +13,7 @@ from planish.rig import Rig
 from planish.sensing.patterns.entries import Entry
 from planish.sensing.patterns.sequences import reference_sequence
 from planish.simulation.light import Light
+from planish.simulation.printed import Print
 from planish.simulation.sensor import Sensor, reference_rig
 from planish.simulation.surfaces import Cylinder, Door, Pipe, Plate, Step, Surface, Waves
 from planish.simulation.texture import BLANK, Grain, Marks, Texture
@@ -53,6 +54,8 @@ class Scene:
         What is projected.
     seed : int
         Of texture and noise (PRNU and dust follow from `sensor.seed`).
+    printed : Print or None
+        What is printed on the surface, on top of its texture.
     """
 
     part: str
@@ -66,6 +69,7 @@ class Scene:
     seed: int = 0
     background: Background | None = None
     sequence: tuple[Entry, ...] = field(default_factory=lambda: tuple(reference_sequence()))
+    printed: Print | None = None
 
     def seen_from(self, T_object_sensor: Sequence[Array]) -> Scene:
         """Return the scene with other captures, named m1, m2, ..."""

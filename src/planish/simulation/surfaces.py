@@ -84,7 +84,10 @@ class Waves(Surface):
 
 @dataclass(frozen=True)
 class Cylinder(Surface):
-    """Part of a cylinder, seen from outside: geometry slides along and around it."""
+    """Part of a cylinder, seen from outside: geometry slides along and around it.
+
+    A negative radius makes a hollow, seen from inside, so shallow that no part of it hides another.
+    """
 
     kind: ClassVar[str] = "cylinder"
     half_s: float = 320.0
@@ -94,7 +97,7 @@ class Cylinder(Surface):
     def _ray_onto(self, s: float, t: float) -> tuple[Array, Array]:
         out = np.array([np.sin(s / self.radius), 0.0, np.cos(s / self.radius)])
         axis = np.array([0.0, t, -self.radius])
-        return (axis + 2 * self.radius * out)[None], -out[None]
+        return (axis + max(2 * self.radius, 0.0) * out)[None], -out[None]
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,8 @@ def write_scene(
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(folder, f"cannot be made ({error.strerror})", "a folder that can be written") from None
-        _write_images(folder, scene, render_capture(scene, index, threads), thread_count(threads))
+        scene.rig.save(folder / "rig.json")
+        write_capture(folder, scene, render_capture(scene, index, threads), thread_count(threads), rig="rig.json")
         if true_points:
             for camera in scene.rig.cameras:
                 points, seen = trace_capture(scene, index, camera, threads)
@@ -63,17 +64,17 @@ def _truth(scene: Scene) -> list[dict[str, object]]:
     ]
 
 
-def _write_images(folder: Path, scene: Scene, images: dict[str, Images], threads: int) -> None:
+def write_capture(folder: Path, scene: Scene, images: dict[str, Images], threads: int, rig: str | None) -> None:
+    """Write the images (N, H, W) of each camera into a folder and their capture.json, which names the file `rig`."""
     names = {camera: _image_names(camera, scene.sequence) for camera in images}
     jobs = [(folder / names[camera][k], stack[k]) for camera, stack in images.items() for k in range(len(stack))]
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(lambda job: _write_png(*job), jobs))
-    scene.rig.save(folder / "rig.json")
+        list(pool.map(lambda job: write_png(*job), jobs))
     assert scene.rig.projector is not None
     manifest = {
         "schema": CAPTURE_SCHEMA,
         "name": folder.name,
-        "rig": "rig.json",
+        **({} if rig is None else {"rig": rig}),
         "images": names,
         "sequence": [entry.model_dump(exclude_none=True) for entry in scene.sequence],
         "projector_px": list(scene.rig.projector.size_px),
@@ -85,7 +86,8 @@ def _image_names(camera: str, sequence: Sequence[Entry]) -> list[str]:
     return [f"{camera}_{k:02d}_{entry_label(entry)}.png" for k, entry in enumerate(sequence)]
 
 
-def _write_png(path: Path, image: Images) -> None:
+def write_png(path: Path, image: Images) -> None:
+    """Write one image (H, W); raises InputError where the folder cannot be written."""
     # Noise never repeats: the search for repetitions would cost time and even space.
     options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY]
     done, data = cv2.imencode(".png", image, options)

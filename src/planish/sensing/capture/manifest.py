@@ -17,7 +17,7 @@ from planish import storage
 from planish.errors import InputError
 from planish.options import Strict, thread_count
 from planish.rig import Rig
-from planish.rig.opencv import read_opencv_rig
+from planish.rig.files import import_rig, rig_format
 from planish.sensing.capture.images import GreyImage, describe, read_grey
 from planish.sensing.patterns.entries import Entry
 
@@ -41,8 +41,8 @@ class Images(Strict):
 class Manifest(Strict):
     """Content of `capture.json`.
 
-    `rig` names a planish rig.json, or the YAML or XML files of an OpenCV calibration. Captures that are to calibrate
-    have none yet.
+    `rig` names a planish rig.json, the YAML or XML files of an OpenCV calibration, or a MAT-file with MATLAB's struct.
+    Captures that are to calibrate have none yet.
     """
 
     schema_: Literal["planish.capture/1"] = Field(alias="schema")
@@ -86,17 +86,26 @@ class Capture:
         folder = path.parent if images_dir is None else Path(images_dir)
         return cls(manifest.name or path.resolve().parent.name, path, folder, manifest)
 
-    def load_rig(self, organise_on: str) -> Rig:
-        """Return the rig; one imported from OpenCV files gets the frame of the organising camera as sensor frame."""
-        if self.manifest.rig is None:
-            raise InputError(self.path, "names no rig", "'rig', the file of the calibration")
-        if isinstance(self.manifest.rig, str) and self.manifest.rig.endswith(".json"):
-            return Rig.load(self._inside(self.manifest.rig, prefer=self.path.parent))
-        names = [self.manifest.rig] if isinstance(self.manifest.rig, str) else self.manifest.rig
-        files = [self._inside(name, prefer=self.path.parent) for name in names]
+    def load_rig(self, organise_on: str, files: Sequence[Path] | None = None) -> Rig:
+        """Return the rig of the manifest, or of the `files` given instead.
+
+        One imported from OpenCV or MATLAB gets the frame of the organising camera as sensor frame.
+
+        Raises
+        ------
+        InputError
+            Where there is none, or it cannot be read or is of another image size.
+        """
+        if files is None:
+            if self.manifest.rig is None:
+                raise InputError(self.path, "names no rig", "'rig', the file of the calibration, or --rig FILE")
+            names = [self.manifest.rig] if isinstance(self.manifest.rig, str) else self.manifest.rig
+            files = [self._inside(name, prefer=self.path.parent) for name in names]
+        if all(rig_format(path) == "planish" for path in files):
+            return import_rig(files).rig
         height, width = self.read_image("A", 0).shape
-        rig = read_opencv_rig(files, (width, height), self.manifest.projector_px)
-        return rig.in_frame_of(organise_on)
+        rig = import_rig(files, (width, height), self.manifest.projector_px).rig
+        return rig.in_frame_of(organise_on) if organise_on in rig.cameras else rig
 
     def image_path(self, camera: str, index: int) -> Path:
         """Return the path of one image."""

@@ -65,7 +65,8 @@ def cameras_needed(rig: Rig, images: tuple[str, ...], own: str, geometry: Geomet
     other = rig.other(own)
     pair = other is not None and {own, other} <= set(images)
     if own not in images or own not in rig.cameras:
-        raise InputError(subject, f"images and calibration of {', '.join(images)}", f"those of camera {own}")
+        found = f"images of {', '.join(images)}, calibration of {', '.join(rig.cameras)}"
+        raise InputError(subject, found, f"those of camera {own}, which is to organise")
     if geometry != "projector" and pair:
         assert other is not None
         return (own, other)
