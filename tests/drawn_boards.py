@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter
 
 from planish.geometry import Array, exp_so3
@@ -12,6 +13,8 @@ from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Che
 
 #: Grey levels of ink and paper.
 INK, PAPER = 30.0, 180.0
+#: Grey level where a projector shows nothing.
+UNLIT = 8.0
 #: Pixels of the ChArUco artwork per square.
 ARTWORK_PX = 400
 
@@ -78,7 +81,7 @@ def _charuco(board: Charuco, x, y):
 
 
 def draw(
-    board, camera, T_camera_board, *, blur_px=0.7, noise=0.0, seed=0, bits=8, supersampling=8, light=False, shade=0.0
+    board, camera, T_camera_board, *, blur_px=0.7, noise=0.0, seed=0, bits=8, supersampling=8, light=False, lit=None
 ):
     """The image (H, W), uint8, uint16 or (bits = 0) float, and the true pixels (N, 2) of the board's points.
 
@@ -90,8 +93,8 @@ def draw(
         Standard deviation of a grey value of 255.
     light : bool
         Light figures on dark ground.
-    shade : float
-        Relative fall of the light from the left to the right of the image.
+    lit : callable or None
+        Light, 0 ... 1, at points (x, y) [mm] of the board: what a projector shows there. Default: everywhere 1.
     """
     width, height = camera.size_px
     fine = (
@@ -105,10 +108,12 @@ def draw(
     shown = reflectance(board, x, y, sample_mm)
     if light:
         shown = 1 - shown
+    shown = INK / PAPER + (1 - INK / PAPER) * shown
+    if lit is not None:
+        shown = shown * lit(x, y)
     shown = gaussian_filter(shown, blur_px * supersampling, truncate=4)
     shown = shown.reshape(height, supersampling, width, supersampling).mean((1, 3))
-    grey = INK + (PAPER - INK) * shown
-    grey = grey * (1 - shade * np.arange(width) / width)
+    grey = PAPER * shown if lit is None else UNLIT + (PAPER - UNLIT) * shown
     rng = np.random.default_rng(seed)
     grey = grey + noise * rng.standard_normal(grey.shape)
     points = board_points(board) @ T_camera_board[:3, :3].T + T_camera_board[:3, 3]
@@ -121,7 +126,11 @@ def draw(
 
 def _on_board(camera: Camera, T_camera_board, u, v):
     if np.any(camera.distortion):
-        rays = camera.rays_sensor(np.stack([u, v], -1))
+        # The inverse distortion is smooth: from every fourth pixel to all samples by splines.
+        nodes = [np.arange(axis.min() - 6, axis.max() + 6, 4.0) for axis in (v, u)]
+        coarse = camera.rays_sensor(np.stack(np.meshgrid(*nodes, indexing="ij")[::-1], -1))
+        splines = [RectBivariateSpline(*nodes, coarse[..., k]) for k in range(3)]
+        rays = np.stack([spline(v[:, 0], u[0]) for spline in splines], -1)
     else:
         rays = np.stack(
             [(u - camera.K[0, 2]) / camera.K[0, 0], (v - camera.K[1, 2]) / camera.K[1, 1], np.ones_like(u)], -1

@@ -27,11 +27,10 @@ def camera():
 
 
 def drawn(tilt, printed=PRINTED, turned_by=None, **options):
-    turned_by = np.eye(4) if turned_by is None else turned_by
     T = placed(printed, camera(), tilt, fill=0.7)
     # Camera B looks at the point that camera A looks at, from the side.
     T_seen = T.copy()
-    if not np.array_equal(turned_by, np.eye(4)):
+    if turned_by is not None:
         middle = board_points(printed).mean(0)
         distance = (T[:3, :3] @ middle + T[:3, 3])[2]
         T_seen[:3, :3] = turned_by[:3, :3] @ T[:3, :3]
@@ -41,7 +40,7 @@ def drawn(tilt, printed=PRINTED, turned_by=None, **options):
 
 @pytest.fixture(scope="module")
 def images():
-    return {c: [drawn(t, turned_by=T)[0] for t in TILTS] for c, T in (("A", np.eye(4)), ("B", T_B_A))}
+    return {c: [drawn(t, turned_by=T)[0] for t in TILTS] for c, T in (("A", None), ("B", T_B_A))}
 
 
 def write(folder, images, names=None, board=BOARD):
@@ -194,7 +193,7 @@ def test_a_manifest_is_checked(tmp_path, images, change, message):
 @pytest.mark.parametrize(
     ("printed", "stated", "message"),
     [
-        (BOARD, {**BOARD, "corners": [8, 6]}, "a whole chessboard of (5 x 3|3 x 5) inner corners would fit"),
+        (BOARD, {**BOARD, "corners": [8, 6]}, "a whole chessboard of 5 x 3 inner corners would fit"),
         (
             {"schema": "planish.board/1", "kind": "charuco", "squares": [5, 4], "marker_mm": 7, "pitch_mm": 10},
             {"legacy": True},

@@ -23,19 +23,20 @@ MAX_PIXELS = 2500
 MIN_PIXELS, MIN_SHARE = 30, 0.25
 #: Residuals of more robust standard deviations are left out, in so many rounds.
 OUTLIER_SIGMAS, ROUNDS = 4.0, 3
-#: The window is cut into so many blocks along each side to see how alike neighbours' errors are.
-BLOCKS = 4
+#: The window is cut into (columns, rows) of parts to see how alike neighbours' errors are, and so many terms of the map
+#: that a turn by 180 degrees about the point leaves alone vary between them: 1, xx, xy, yy.
+PARTS = (((6, 6), 4), ((12, 1), 2), ((1, 12), 2))
 
 
 class _Map(NamedTuple):
     """One coordinate around one point: value, derivative (2,), variance of the value if neighbours were independent,
-    and by how much blocks of neighbours vary more than that.
+    and by how much the means of PARTS of the window vary more than that (3,).
     """
 
     value: float
     slope: Array
     variance: float
-    alike: float
+    alike: Array
 
 
 def code_points(phases: Mapping[Axis, PhaseMap], points: BoardPoints, board: Board, camera: str) -> CodedPoints | None:
@@ -61,7 +62,7 @@ def code_points(phases: Mapping[Axis, PhaseMap], points: BoardPoints, board: Boa
     -----
     A polynomial of second order around each point, least squares with the pixels' sigmas as weights. Errors of
     neighbouring pixels are alike (edges of a Gray code, surface texture): the variance of the polynomial's value is
-    raised by what the means of blocks of residuals scatter above independent ones, the median over all points.
+    raised by what the means of blocks or strips of residuals scatter above independent ones, over all points.
     """
     grid = board_points(board)[points.index, :2] / board.pitches_mm
     slope, _ = grid_shape(grid, points.pixel_px)
@@ -75,7 +76,7 @@ def code_points(phases: Mapping[Axis, PhaseMap], points: BoardPoints, board: Boa
     found = {axis: [m for k in known if (m := maps[axis][k]) is not None] for axis in maps}
     variance = np.zeros(len(known))
     for axis in ("u", "v"):
-        alike = max(1.0, float(np.median([m.alike for m in found[axis]])))
+        alike = max(1.0, float(np.mean([m.alike for m in found[axis]], 0).max()))
         variance += 0.5 * alike * np.array([m.variance for m in found[axis]])
     return CodedPoints(
         camera=camera,
@@ -116,15 +117,26 @@ def _local_map(phase: PhaseMap, pixel: Array, steps: Array) -> _Map | None:
         residual = (z - A @ coefficients) * weight
         keep = np.abs(residual) <= OUTLIER_SIGMAS * 1.4826 * max(float(np.median(np.abs(residual))), 1e-9)
     scatter = float((residual[keep] ** 2).sum() / max(keep.sum() - A.shape[1], 1))
-    alike = _alike(residual[keep], place[:, use][:, keep], A.shape[1]) / max(scatter, 1e-30)
+    alike = _alike(residual[keep], place[:, use][:, keep]) / max(scatter, 1e-30)
     return _Map(float(coefficients[0]), coefficients[1:3] @ np.linalg.inv(steps), scatter * float(inverse[0, 0]), alike)
 
 
-def _alike(residual: Array, place: Array, terms: int) -> float:
-    """Return the variance of blocks' mean residuals times their numbers: that of one, where all are independent."""
-    column, row = np.floor((place / (2 * REACH) + 0.5) * BLOCKS).clip(0, BLOCKS - 1).astype(int)
-    block = row * BLOCKS + column
-    count = np.bincount(block, minlength=BLOCKS**2)
-    total = np.bincount(block, residual, BLOCKS**2)
-    full = count > 0
-    return float((total[full] ** 2 / count[full]).sum() / max(full.sum() - terms, 1))
+def _alike(residual: Array, place: Array) -> Array:
+    """Return the variance (3,) of parts' mean residuals times their numbers, that of one where all are independent.
+
+    The parts are blocks, and strips along either side: an edge of a Gray code is off by the same along all its length.
+    """
+    out = []
+    for (columns, rows), even_terms in PARTS:
+        column, row = (
+            np.floor((axis / (2 * REACH) + 0.5) * n).clip(0, n - 1).astype(int)
+            for axis, n in zip(place, (columns, rows), strict=True)
+        )
+        part = row * columns + column
+        # Light from the brighter squares pulls the pixels beside their edges towards them: on both sides of a crossing
+        # in opposite directions. What a turn by 180 degrees turns round does not change the value in the middle.
+        pair = np.minimum(part, columns * rows - 1 - part)
+        count, total = np.bincount(pair), np.bincount(pair, residual)
+        full = count > 0
+        out.append(float((total[full] ** 2 / count[full]).sum() / max(full.sum() - even_terms, 1)))
+    return np.array(out)

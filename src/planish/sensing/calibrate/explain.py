@@ -63,19 +63,25 @@ def _chessboard(grey: NDArray[np.uint8], board: Board) -> Board | None:
     found, _, meta = cv2.findChessboardCornersSBWithMeta(grey, (LEAST, LEAST), flags)
     if not found or meta is None:
         return None
-    rows, columns = meta.shape[:2]
+    columns, rows = _turned_like(board, *meta.shape[:2])
     other = Chessboard.model_validate({**_printed(board), "kind": "chessboard", "corners": (columns, rows)})
     # OpenCV sees chessboards in grids of circles too: only one whose crossings are crossings counts.
     return None if isinstance(detect_board(grey, other), str) else other
+
+
+def _turned_like(board: Board, a: int, b: int) -> tuple[int, int]:
+    """Return two numbers of points as (columns, rows) with the larger number where the stated board has it."""
+    return (max(a, b), min(a, b)) if board.grid[0] >= board.grid[1] else (min(a, b), max(a, b))
 
 
 def _circles(grey: NDArray[np.uint8], board: Board) -> Board | None:
     for light in (False, True):
         count = len(blob_detector(grey, 4, light).detect(grey))
         sizes = [(n, count // n) for n in range(LEAST, MOST) if count >= LEAST**2 and count % n == 0]
-        for columns, rows in sorted(sizes, key=lambda size: abs(size[0] - size[1])):
-            if rows < LEAST:
+        for size in sorted(sizes, key=lambda size: abs(size[0] - size[1])):
+            if min(size) < LEAST:
                 continue
+            columns, rows = _turned_like(board, *size)
             for kind, name in ((Circles, "circles"), (AsymmetricCircles, "asymmetric_circles")):
                 other = kind.model_validate({**_printed(board), "kind": name, "circles": (columns, rows)})
                 if not isinstance(detect_board(grey, other), str):

@@ -102,7 +102,7 @@ def sides_that_go_on(image: NDArray[Any], board: Board, found: Refined) -> int:
     pixel = np.full((len(grid), 2), np.nan)
     pixel[found.index] = found.pixel_px
     place = np.arange(len(grid)).reshape(rows, columns)
-    # From row to row of an asymmetric grid the columns shift alternately right and left: like follows like after two.
+    # From row to row of an asymmetric grid the columns shift there and back: like follows like after two.
     step = 2 if isinstance(board, AsymmetricCircles) else 1
     outer, beyond = [], []
     for lines, by in ((place, step), (place[::-1], step), (place.T, 1), (place.T[::-1], 1)):
