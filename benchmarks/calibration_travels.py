@@ -23,12 +23,13 @@ from planish.pipeline import measure, register
 from planish.registration.result import PairResult
 from planish.rig import Rig
 from planish.sensing.capture.manifest import Capture
+from planish.simulation.rigs import draw_rig
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
 from render_tables import ROOT, save_table
 
 sys.path.append(str(ROOT / "tests"))
-from calibrated import drawn, with_calibration
+from calibrated import with_calibration
 
 SURFACES = ("plate", "door")
 #: Half of the reference sensor's resolution: the same noise in coarser pixels.
@@ -66,7 +67,7 @@ def run_surface(name: str, seeds: Sequence[int], draws: int) -> dict[str, float 
             true_rig = Rig.load(folders[0] / "rig.json")
             rig = with_calibration(true_rig)
             for draw in range(-1, draws):
-                pair = register_with(folders, true_rig if draw < 0 else drawn(rig, 1000 * seed + draw))
+                pair = register_with(folders, true_rig if draw < 0 else draw_rig(rig, 1000 * seed + draw))
                 if pair.T_a_b is None:
                     continue
                 stated = pair.T_a_b, truth.transform(pair.a, pair.b), pair.covariance_point_mm, pair.covariance_noise
