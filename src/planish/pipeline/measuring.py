@@ -26,6 +26,7 @@ from planish.sensing.checks.swapped import check_rig
 from planish.sensing.decode import DecodeOptions
 from planish.sensing.exposures import merge_exposures, split_exposures
 from planish.sensing.observe import Observation, with_phases
+from planish.sensing.points.axes import axis_weights
 from planish.sensing.points.correlate import CorrelateOptions
 from planish.sensing.points.locate import (
     Geometry,
@@ -127,7 +128,27 @@ def measure(
             *located.findings,
             coverage,
         ),
+        position_px=None if layout.statistical else located.phase.position_px,
+        projector_weights=axis_weights(seen[own].phases),
     )
+
+
+def observe_capture(
+    capture: Capture,
+    options: MeasureOptions | None = None,
+    threads: int | None = None,
+    rig: Rig | None = None,
+) -> Mapping[str, Observation]:
+    """Return what each camera of a capture saw, as `measure` uses it: positions without errors of their wave form.
+
+    Parameters and errors are those of `measure`.
+    """
+    options, threads = options or MeasureOptions(), thread_count(threads)
+    rig = capture.load_rig(options.organise_on) if rig is None else rig
+    cameras = cameras_needed(rig, capture.cameras, options.organise_on, options.geometry, str(capture.path))
+    exposures = _exposures(capture, rig)
+    seen = _observe(capture, exposures, rig, cameras, options, threads)
+    return _straighten(seen, exposures[0].layout, options.reject, threads)
 
 
 def _straighten(
