@@ -173,6 +173,17 @@ def test_single_outliers_are_found_and_named():
     assert nees(found) < LARGEST_NEES
 
 
+def test_an_image_of_a_single_row_of_the_board_is_named_and_not_used():
+    item = seen()
+    for view, keep in ((2, slice(0, 11)), (3, slice(0, 7))):
+        item = altered(item, view, "B", lambda p, k=keep: replace(
+            p, index=p.index[k], pixel_px=p.pixel_px[k], sigma_px=p.sigma_px[k]))  # fmt: skip
+    found = calibrate(item)
+    told = [text[:50] for text in warnings(found)]
+    assert told == [f"view {n}: image B/{n}.png shows {k} points of the board"[:50] for n, k in (("03", 11), ("04", 7))]
+    assert nees(found) < LARGEST_NEES
+
+
 def test_too_few_views_are_refused():
     item = seen()
     with pytest.raises(InputError, match="camera A: found 2 usable views; expected at least 3"):
