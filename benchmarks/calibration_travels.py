@@ -29,7 +29,7 @@ from planish.simulation.writing import write_scene
 from render_tables import ROOT, save_table
 
 sys.path.append(str(ROOT / "tests"))
-from calibrated import with_calibration
+from calibrated_rig import with_calibration
 
 SURFACES = ("plate", "door")
 #: Half of the reference sensor's resolution: the same noise in coarser pixels.

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sheets
-from calibrated import with_calibration
+from calibrated_rig import with_calibration
 from planish.geometry import compose, difference, exp_so3, perturb
 from planish.pipeline import register
 from planish.registration.pair import Prepared, pair_shifts, refine_pair

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import sequences
-from calibrated import with_calibration
+from calibrated_rig import with_calibration
 from planish.geometry import exp_se3
 from planish.measurement import Measurement
 from planish.pipeline import MeasureOptions, measure

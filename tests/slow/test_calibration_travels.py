@@ -1,4 +1,4 @@
-"""Pairs measured with rigs drawn from their stated covariance, images to transforms: a small run of the benchmark."""
+"""Pairs measured with rigs drawn from their stated covariance, from images to transforms: the benchmark in small."""
 
 import pytest
 

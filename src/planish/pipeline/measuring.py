@@ -133,6 +133,24 @@ def measure(
     )
 
 
+def observe_capture(
+    capture: Capture,
+    options: MeasureOptions | None = None,
+    threads: int | None = None,
+    rig: Rig | None = None,
+) -> Mapping[str, Observation]:
+    """Return what each camera of a capture saw, as `measure` uses it: positions without errors of their wave form.
+
+    Parameters and errors are those of `measure`.
+    """
+    options, threads = options or MeasureOptions(), thread_count(threads)
+    rig = capture.load_rig(options.organise_on) if rig is None else rig
+    cameras = cameras_needed(rig, capture.cameras, options.organise_on, options.geometry, str(capture.path))
+    exposures = _exposures(capture, rig)
+    seen = _observe(capture, exposures, rig, cameras, options, threads)
+    return _straighten(seen, exposures[0].layout, options.reject, threads)
+
+
 def _straighten(
     seen: Mapping[str, Observation], layout: Layout, options: RejectOptions, threads: int
 ) -> Mapping[str, Observation]:
