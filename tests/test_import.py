@@ -9,8 +9,9 @@ from plyfile import PlyData, PlyElement
 
 from planish.cli import main
 from planish.errors import InputError
+from planish.geometry import transform_points
 from planish.measurement import Measurement
-from planish.rig import Rig
+from planish.rig import Rig, write_rig
 from planish.sensing.imported.measurement import import_measurement
 from sequences import plane_points, small_rig
 from test_measure_command import refused
@@ -127,6 +128,21 @@ def test_the_command_writes_a_measurement_and_takes_zeros_for_missing_points(fil
     assert not m.valid[0, :50].any()
     assert m.valid[5:-5, 5:-5].all()
     assert capsys.readouterr().out.startswith("door: ")
+
+
+@pytest.mark.parametrize("name", ["camera.yml", "camera.mat"])
+def test_the_camera_may_be_calibrated_by_opencv_or_matlab(files, monkeypatch, name):
+    rig = Rig.load(files / "rig.json")
+    camera = rig.cameras["A"]
+    write_rig(rig, files / name, ("A",))
+    # The frame of such a file is that of the camera.
+    points = transform_points(camera.T_camera_sensor, plane_points(camera))
+    write_ply(files / "cloud.ply", points.reshape(-1, 3))
+    monkeypatch.setattr(sys, "argv", ["planish", *arguments(files, camera=name)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert not stop.value.code
+    assert Measurement.load(files / "scan.h5").valid[5:-5, 5:-5].all()
 
 
 def test_the_command_reads_text_files_too(files, monkeypatch):

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from planish.errors import InputError
-from planish.geometry import log_se3, transform_points
+from planish.geometry import adjoint, invert, log_se3, transform_points
 from planish.rig import Rig
 from planish.rig.derivatives import point_derivatives, project_with_derivatives
-from planish.rig.parameters import DEVICE_PARAMETERS, EXTERNAL, change_camera
+from planish.rig.parameters import DEVICE_PARAMETERS, EXTERNAL, change_camera, selection, split_name
 from planish.sensing.points.correspond import Correspondences
 from planish.sensing.points.triangulate import triangulate
 from planish.simulation.sensor import reference_rig
@@ -147,3 +147,49 @@ def test_points_do_not_notice_the_frame_they_are_told_in(rig, points):
 def test_an_unknown_parameter_is_refused(rig, name):
     with pytest.raises(InputError, match="covariance parameters: found"):
         Rig({"A": rig.cameras["A"]}).changed([1.0], (name,))
+
+
+def test_parameters_of_all_devices_are_found_by_name():
+    assert split_name("projector.k3", ("A", "projector")) == ("projector", DEVICE_PARAMETERS.index("k3"))
+    picks = selection(("B.cy", "A.fx", "B.translation_z"), ("A", "B"))
+    assert np.argwhere(picks["A"]).tolist() == [[0, 1]]
+    assert np.argwhere(picks["B"]).tolist() == [[3, 0], [22, 2]]
+
+
+def test_each_parameter_changes_what_its_name_says(rig):
+    camera = rig.cameras["B"]
+    changed = change_camera(camera, np.arange(23) * 1e-3)
+    np.testing.assert_allclose(changed.K - camera.K, [[0, 4e-3, 2e-3], [0, 1e-3, 3e-3], [0, 0, 0]], atol=1e-12)
+    np.testing.assert_allclose(changed.distortion - camera.distortion, np.arange(5, 17) * 1e-3, atol=1e-15)
+    xi = log_se3(changed.T_camera_sensor @ invert(camera.T_camera_sensor))
+    np.testing.assert_allclose(xi, np.arange(17, 23) * 1e-3, atol=1e-11)
+    assert changed.size_px == camera.size_px
+
+
+def test_a_rig_is_changed_by_its_own_parameters_or_by_named_ones(rig):
+    known = with_covariance(rig, ("A.fx", "projector.cy"))
+    by_own = known.changed([1.0, 2.0])
+    assert by_own.cameras["A"].K[0, 0] == rig.cameras["A"].K[0, 0] + 1
+    assert by_own.projector.K[1, 2] == rig.projector.K[1, 2] + 2
+    assert by_own.covariance_parameters == known.covariance_parameters
+    assert rig.changed([3.0], ["B.k1"]).cameras["B"].distortion[0] == rig.cameras["B"].distortion[0] + 3
+    with pytest.raises(InputError, match=r"change: found .*expected 2 numbers"):
+        known.changed([1.0])
+    with pytest.raises(InputError, match=r"found 'C\.fx'"):
+        rig.changed([1.0], ["C.fx"])
+
+
+def test_exact_parameters_have_no_modes_and_a_rig_without_covariance_none(rig):
+    assert rig.modes().size == 0
+    partly = Rig(rig.cameras, None, np.diag([0.0, 0.04]), ("A.fx", "A.fy"))
+    np.testing.assert_allclose(partly.modes() ** 2, [[0.0, 0.04]])
+
+
+def test_a_rig_that_is_uncertain_of_its_own_place_alone_is_exact_in_its_camera_s_frame(rig, tmp_path):
+    names = tuple(f"{device}.{name}" for device in "AB" for name in EXTERNAL)
+    J = np.vstack([adjoint(rig.cameras[device].T_camera_sensor) for device in "AB"])
+    moved = Rig(rig.cameras, None, J @ np.diag([1e-6] * 3 + [0.01] * 3) @ J.T, names).in_frame_of("A")
+    assert not moved.covariance.any()
+    assert moved.modes().size == 0
+    moved.save(tmp_path / "rig.json")
+    assert Rig.load(tmp_path / "rig.json").covariance_parameters == names[6:]

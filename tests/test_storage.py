@@ -40,6 +40,9 @@ def make_measurement(seed=0):
         {"A": view},
         ("A",),
         False,
+        (),
+        random_map(HEIGHT, WIDTH),
+        (0.75, 0.25),
     )
 
 

@@ -9,6 +9,7 @@
 #include "core/chart.hpp"
 #include "core/consensus.hpp"
 #include "core/joint.hpp"
+#include "core/joint_pull.hpp"
 #include "core/match.hpp"
 #include "core/surface.hpp"
 
@@ -92,21 +93,25 @@ nb::tuple normal_equations(const planish::Normal& n) {
     return nb::make_tuple(matrix6(n.H), g.map(), n.cost, n.count, n.weights > 0 ? n.slopes / n.weights : 1.0);
 }
 
+planish::JointOptions joint_options(const nb::tuple& options) {
+    const auto number = [&](int i) { return nb::cast<double>(options[i]); };
+    return {number(0),
+            number(1),
+            number(2),
+            number(3),
+            number(4),
+            number(5),
+            nb::cast<int>(options[6]),
+            nb::cast<int>(options[7])};
+}
+
 /// Maps a, camera a, maps b: see planish::JointMaps. Returns normal equations of distance and texture, the unbiased
 /// information of both, correlation, number of conflicts, tile gradients (rows, columns, 6) and, if asked for, the
 /// residual maps.
 nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
                                  const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
                                  bool with_residuals, int threads) {
-    const auto number = [&](int i) { return nb::cast<double>(options[i]); };
-    const planish::JointOptions o{number(0),
-                                  number(1),
-                                  number(2),
-                                  number(3),
-                                  number(4),
-                                  number(5),
-                                  nb::cast<int>(options[6]),
-                                  nb::cast<int>(options[7])};
+    const auto o = joint_options(options);
     const auto a = joint_maps(maps_a), b = joint_maps(maps_b);
     const Rigid T(T_a_b);
     Owned<float> distances(with_residuals ? b.points.height : 0, b.points.width, 1);
@@ -128,6 +133,29 @@ nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& c
     return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_distance_unbiased),
                           matrix6(s.H_texture_unbiased), norm > 0 ? s.correlation_ab / norm : 0.0, s.conflicts,
                           tiles.maps(), distances.map(), differences.map());
+}
+
+/// See planish::joint_pull. Returns the pull (rows x columns, 6, 3) of all tiles and their pixels (rows x columns,).
+nb::tuple joint_pull(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
+                     const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options, int threads) {
+    const auto o = joint_options(options);
+    const auto a = joint_maps(maps_a), b = joint_maps(maps_b);
+    const Rigid T(T_a_b);
+    planish::JointPull result;
+    {
+        const auto camera = camera_from(camera_a);
+        nb::gil_scoped_release release;
+        result = planish::joint_pull(a, camera, b, T.R, T.t, {about(0), about(1), about(2)}, o, threads);
+    }
+    const auto count = static_cast<int>(result.tiles.size());
+    Owned<double> tiles(count, 6, 3);
+    Owned<std::int64_t> pixels(1, count, 1);
+    for (int k = 0; k < count; ++k) {
+        for (int i = 0; i < 6; ++i)
+            for (int j = 0; j < 3; ++j) tiles.image.at(k, i)[j] = result.tiles[k](i, j);
+        *pixels.image.at(0, k) = result.pixel[k];
+    }
+    return nb::make_tuple(tiles.maps(), pixels.map());
 }
 
 Out<float, 3> tangential_gradient(const In<float, 2>& texture, const In<float, 3>& tangents, int threads) {
@@ -175,4 +203,6 @@ void bind_registration(nb::module_& m) {
           "frame_angle"_a, "normal_angle"_a, "min_baseline"_a, "seeds"_a, "partners"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
           "options"_a, "with_residuals"_a, "threads"_a);
+    m.def("joint_pull", &joint_pull, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a, "options"_a,
+          "threads"_a);
 }

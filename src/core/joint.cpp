@@ -1,10 +1,9 @@
 #include "core/joint.hpp"
 
-#include <Eigen/Geometry>
-#include <array>
 #include <cmath>
 #include <limits>
 
+#include "core/joint_lookup.hpp"
 #include "core/parallel.hpp"
 
 namespace planish {
@@ -29,55 +28,6 @@ JointSums& JointSums::operator+=(const JointSums& other) {
 
 namespace {
 
-struct Influence {
-    double weight;  ///< psi(r) / r
-    double slope;   ///< psi'(r)
-};
-
-/// Tukey's biweight: 1 at 0, 0 from 4.685 scales on (95 % efficiency under normal noise, Holland and Welsch 1977).
-Influence tukey(double residual, double scale) {
-    const double x = residual / (4.685 * scale), xx = x * x;
-    const double y = 1.0 - xx;
-    return y > 0 ? Influence{y * y, y * (1.0 - 5.0 * xx)} : Influence{0, 0};
-}
-
-struct Cell {
-    int u, v;
-    std::array<float, 4> w;
-
-    Cell(double x, double y) : u(static_cast<int>(std::floor(x))), v(static_cast<int>(std::floor(y))) {
-        const auto fx = static_cast<float>(x - u), fy = static_cast<float>(y - v);
-        w = {(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy};
-    }
-    [[nodiscard]] Eigen::Vector3d vector(const Image<const float>& map) const {
-        const float *p = map.at(v, u), *q = map.at(v + 1, u);
-        Eigen::Vector3d out;
-        for (int i = 0; i < 3; ++i) out[i] = w[0] * p[i] + w[1] * p[i + 3] + w[2] * q[i] + w[3] * q[i + 3];
-        return out;
-    }
-    [[nodiscard]] double scalar(const Image<const float>& map) const {
-        const float *p = map.at(v, u), *q = map.at(v + 1, u);
-        return w[0] * p[0] + w[1] * p[1] + w[2] * q[0] + w[3] * q[1];
-    }
-};
-
-/// Cubic convolution (Keys 1981, a = -1/2); NaN where one of the 16 values is.
-double cubic(const Image<const float>& map, double x, double y) {
-    const int u = static_cast<int>(std::floor(x)), v = static_cast<int>(std::floor(y));
-    const auto weights = [](float f) -> std::array<float, 4> {
-        const float f2 = f * f, f3 = f2 * f;
-        return {-0.5F * f3 + f2 - 0.5F * f, 1.5F * f3 - 2.5F * f2 + 1.0F, -1.5F * f3 + 2.0F * f2 + 0.5F * f,
-                0.5F * f3 - 0.5F * f2};
-    };
-    const auto wx = weights(static_cast<float>(x - u)), wy = weights(static_cast<float>(y - v));
-    float sum = 0;
-    for (int j = 0; j < 4; ++j) {
-        const float* p = map.at(v - 1 + j, u - 1);
-        sum += wy[j] * (wx[0] * p[0] + wx[1] * p[1] + wx[2] * p[2] + wx[3] * p[3]);
-    }
-    return sum;
-}
-
 struct Problem {
     const JointMaps &a, &b;
     const Camera& camera;
@@ -91,37 +41,14 @@ struct Problem {
                      JointSums& sums, Vector6& tile) const;
 };
 
-Vector6 jacobian(const Eigen::Vector3d& lever, const Eigen::Vector3d& direction) {
-    const Eigen::Vector3d moment = lever.cross(direction);
-    Vector6 J;
-    for (int i = 0; i < 3; ++i) {
-        J[i] = moment[i];
-        J[i + 3] = direction[i];
-    }
-    return J;
-}
-
 void Problem::pixel(int v, int u, JointSums& sums, Vector6& tile) const {
-    const float* p = b.points.at(v, u);
-    if (std::isnan(p[2]) || *b.use.at(v, u) == 0) return;
-    const Eigen::Vector3d x = R * Eigen::Vector3d(p[0], p[1], p[2]) + t;
-    const Eigen::Vector3d in_camera = camera.to_camera(x);
-    if (!(in_camera.z() > 0)) return;
-    const Eigen::Vector2d at =
-        camera.to_pixel(camera.distort({in_camera.x() / in_camera.z(), in_camera.y() / in_camera.z()}));
-    if (!(at.x() >= 1 && at.y() >= 1 && at.x() < a.points.width - 2 && at.y() < a.points.height - 2)) return;
-    const Cell cell(at.x(), at.y());
-    if (*a.use.at(cell.v, cell.u) == 0) return;
-    const Eigen::Vector3d q = cell.vector(a.points);
-    const Eigen::Vector3d normal_a = cell.vector(a.normals);
-    if (std::isnan(q.z()) || std::isnan(normal_a.z())) return;
-    const float* n = b.normals.at(v, u);
-    const Eigen::Vector3d normal_b = R * Eigen::Vector3d(n[0], n[1], n[2]);
-    const double distance = normal_a.dot(x - q);
-    if (std::fabs(distance) > o.max_distance || normal_a.dot(normal_b) < o.min_cosine) {
+    Meeting m;
+    if (!meet(a, b, camera, R, t, o, v, u, m)) return;
+    if (m.conflict) {
         ++sums.conflicts;
         return;
     }
+    const auto& [x, in_camera, at, cell, normal_a, normal_b, distance, conflict] = m;
     const Vector6 J = jacobian(x - about, (normal_a + normal_b).normalized());
     const Influence influence = tukey(distance, o.scale_distance);
     const double w = o.weight_distance * influence.weight;

@@ -4,12 +4,15 @@ from importlib.metadata import version
 
 from planish.errors import InputError
 from planish.measurement import Measurement
-from planish.pipeline import MeasureOptions, RegisterOptions, measure, register
+from planish.pipeline import CalibrateOptions, MeasureOptions, RegisterOptions, calibrate, measure, register
 from planish.registration.result import PairResult, Registration
 from planish.rig import Camera, Rig, read_rig, write_rig
+from planish.sensing.calibrate.result import Calibration
 from planish.sensing.capture.manifest import Capture
 
 __all__ = [
+    "CalibrateOptions",
+    "Calibration",
     "Camera",
     "Capture",
     "InputError",
@@ -20,6 +23,7 @@ __all__ = [
     "Registration",
     "Rig",
     "__version__",
+    "calibrate",
     "measure",
     "read_rig",
     "register",

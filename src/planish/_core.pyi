@@ -58,6 +58,15 @@ def joint_normal_equations(
     with_residuals: bool,
     threads: int,
 ) -> tuple[_Normal, _Normal, F64, F64, float, int, F64, F32, F32]: ...
+def joint_pull(
+    maps_a: _Maps,
+    camera_a: F64,
+    maps_b: _Maps,
+    T_a_b: F64,
+    about: F64,
+    options: tuple[float, float, float, float, float, float, int, int],
+    threads: int,
+) -> tuple[F64, NDArray[np.int64]]: ...
 
 # Evaluation
 def look_up_distance(

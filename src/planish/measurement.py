@@ -153,6 +153,13 @@ class Measurement:
         True where an unorganised cloud was rendered onto the pixel grid.
     findings : tuple of Finding
         What the capture says about itself: movement, row error of the rig, gamma, ...
+    position_px : ndarray (H, W) float32 or None
+        Projector position that the organising camera decoded, along the axis that corresponding pixels were found by
+        [projector px]: these lie where the other camera decoded the same. None where the points are not by fringes or
+        Gray code.
+    projector_weights : tuple of float or None
+        By how much the projector's columns and rows count in points of camera and projector: inverse variances of the
+        decoded positions, their sum 1; (1, 0): columns alone. None where no positions were decoded.
     """
 
     name: str
@@ -166,6 +173,8 @@ class Measurement:
     texture_views: tuple[str, ...]
     resampled: bool
     findings: tuple[Finding, ...] = ()
+    position_px: Map | None = field(default=None, metadata={"unit": "projector px"})
+    projector_weights: tuple[float, float] | None = None
 
     @property
     def camera(self) -> Camera:
@@ -204,6 +213,7 @@ class Measurement:
             "sigma_mm": (self.sigma_mm, (height, width)),
             "rejected": (self.rejected, (height, width)),
             "correspondence_px": (self.correspondence_px, (height, width, 2)),
+            "position_px": (self.position_px, (height, width)),
         }
         for name, view in self.views.items():
             if name not in self.rig.cameras:

@@ -75,3 +75,28 @@ def residuals(maps_a, camera_a, maps_b, T_a_b, about, max_distance, min_cosine):
     J_b = _jacobian(lever, gradient_b[rows, columns].astype(float) @ R.T / sigma)
     difference[~(np.isfinite(J_a).all(1) & np.isfinite(J_b).all(1))] = np.nan
     return rows, columns, distance, J, difference, J_a, J_b, conflicts
+
+
+def tile_pulls(maps_a, camera_a, maps_b, T_a_b, about, weights, max_distance, min_cosine, tile, step=1e-3):
+    """Derivative (rows, columns, 6, 3) of each tile's gradient J' W r by a displacement of its points; NaN without any.
+
+    Central differences [mm] of the definition, b shifted as a whole.
+    """
+    ends = []
+    for axis in range(3):
+        for sign in (1, -1):
+            T = np.array(T_a_b)
+            T[axis, 3] += sign * step
+            found = residuals(maps_a, camera_a, maps_b, T, about, max_distance, min_cosine)
+            rows, columns, d, J, t, J_a, J_b, _ = found
+            w_d = weights.distance * tukey(d, weights.scale_distance_mm)
+            w_t = weights.texture * tukey(t, weights.scale_texture)
+            with np.errstate(invalid="ignore"):
+                by_texture = np.where(np.isfinite(t)[:, None], (w_t * t)[:, None] * (J_a + J_b) / 2, 0.0)
+            gradient = (w_d * d)[:, None] * J + by_texture
+            shape = tuple(-(-n // tile) for n in maps_b[0].shape[:2])
+            sums, counts = np.zeros((*shape, 6)), np.zeros(shape)
+            np.add.at(sums, (rows // tile, columns // tile), gradient)
+            np.add.at(counts, (rows // tile, columns // tile), 1)
+            ends.append(np.where(counts[..., None] > 0, sums, np.nan))
+    return np.stack([(ends[2 * k] - ends[2 * k + 1]) / (2 * step) for k in range(3)], -1)

@@ -18,6 +18,7 @@ COMMANDS: tuple[str, ...] = (
     "patterns",
     "simulate",
     "simulate_board",
+    "calibrate",
     "measure",
     "check_rig",
     "import_cloud",

@@ -1,5 +1,6 @@
-"""The two chains a user runs, one line per stage: measure() and register()."""
+"""The chains a user runs, one line per stage: calibrate(), measure() and register()."""
 
+from planish.pipeline.calibrating import calibrate
 from planish.pipeline.measuring import MeasureOptions, measure
 from planish.pipeline.registering import (
     Progress,
@@ -9,12 +10,15 @@ from planish.pipeline.registering import (
     register_run,
     versions,
 )
+from planish.sensing.calibrate.calibrate import CalibrateOptions
 
 __all__ = [
+    "CalibrateOptions",
     "MeasureOptions",
     "Progress",
     "RegisterOptions",
     "RegisteredRun",
+    "calibrate",
     "measure",
     "register",
     "register_run",

@@ -26,6 +26,7 @@ from planish.sensing.checks.swapped import check_rig
 from planish.sensing.decode import DecodeOptions
 from planish.sensing.exposures import merge_exposures, split_exposures
 from planish.sensing.observe import Observation, with_phases
+from planish.sensing.points.axes import axis_weights
 from planish.sensing.points.correlate import CorrelateOptions
 from planish.sensing.points.locate import (
     Geometry,
@@ -127,6 +128,8 @@ def measure(
             *located.findings,
             coverage,
         ),
+        position_px=None if layout.statistical else located.phase.position_px,
+        projector_weights=axis_weights(seen[own].phases),
     )
 
 

@@ -13,6 +13,7 @@ from planish.options import Options
 from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
 from planish.registration.keypoints import KeypointOptions, Keypoints, detect_keypoints
 from planish.registration.match import Matches, MatchOptions, match
+from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.refine.overlap import overlap_extent
 from planish.registration.refine.residuals import JointSide, held_out_pixels, joint_side
@@ -177,10 +178,13 @@ def _refined_result(
     refuted = judge_refined(refined, directions, drift, options.verdict)
     if refuted is not None:
         return replace(result, status=refuted.status, reason=refuted.reason, observability=directions)
+    shifts = pair_shifts(a, b, refined, options, threads)
     return replace(
         result,
         T_a_b=refined.T_a_b,
         covariance_noise=covariance,
+        covariance_calibration=calibration_covariance(shifts),
+        calibration_shifts=shifts,
         covariance_point_mm=refined.about,
         observability=directions,
         used=True,
@@ -198,6 +202,16 @@ def refine_pair(
     centre, radius = extent
     tile = tile_size_px(b.measurement)
     return refine(a.fit_sides, b.sides, T_a_b, centre, radius, tile, options.refine, threads)
+
+
+def pair_shifts(
+    a: Prepared, b: Prepared, refined: Refined, options: PairOptions | None = None, threads: int | None = None
+) -> dict[str, Array] | None:
+    """Return per rig what its errors do to a refined transform, or None where a rig states none."""
+    options = options or PairOptions()
+    finest = options.refine.smoothing_px[-1]
+    sides = ErrorSide(a.measurement, a.fit_sides[finest]), ErrorSide(b.measurement, b.sides[finest])
+    return calibration_shifts(*sides, refined, options.refine, threads)
 
 
 def _pixels(a: Prepared, b: Prepared, matches: Matches) -> Array:

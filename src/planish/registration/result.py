@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -84,6 +85,9 @@ class PairResult:
     overlap_error: OverlapError | None = None
     used: bool = False
     removed_reason: str | None = None
+    #: Per rig (by its key) the changes xi (k, 6) of T_a_b by the modes of its covariance, whose outer products add up
+    #: to `covariance_calibration`. For the network, not in the JSON; None where a rig states no errors.
+    calibration_shifts: Mapping[str, Array] | None = None
     #: Pixels (N, 4) of the consensus: (u, v) in a's and (u, v) in b's organising camera; for pictures, not in the JSON.
     consensus_px: Array = field(default_factory=lambda: np.empty((0, 4)))
     #: The same of all matches.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from html import escape
+from importlib.resources import files
 
 from planish.registration.result import PairResult, Registration
 from planish.report.style import colour
@@ -26,14 +28,47 @@ def figure(content: bytes, caption: str, width: int | None = None) -> str:
     return f"<figure>{image}<figcaption>{escape(caption)}</figcaption></figure>"
 
 
-def html_table(columns: Sequence[tuple[str, str]], rows: Cells, kind: str = "", raw_first: bool = False) -> str:
-    """Return an HTML table; cells are escaped, the first one only unless `raw_first`."""
+def html_table(
+    columns: Sequence[tuple[str, str]],
+    rows: Cells,
+    kind: str = "",
+    raw_first: bool = False,
+    row_kinds: Sequence[str] = (),
+) -> str:
+    """Return an HTML table; cells are escaped, the first one only unless `raw_first`.
+
+    `kind` is the class of the table, `row_kinds` those of its rows.
+    """
     head = "".join(f"<th>{escape(name)}{f' [{unit}]' if unit else ''}</th>" for name, unit in columns)
     lines = []
-    for row in rows:
+    for number, row in enumerate(rows):
         cells = [cell if raw_first and i == 0 else escape(cell) for i, cell in enumerate(row)]
-        lines.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+        own = f' class="{row_kinds[number]}"' if number < len(row_kinds) and row_kinds[number] else ""
+        lines.append(f"<tr{own}>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     return f'<table class="{kind}"><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table>'
+
+
+def details(title: str, content: Mapping[str, object]) -> str:
+    """Return a folded block of JSON."""
+    return f"<details><summary>{title}</summary><pre>{escape(json.dumps(content, indent=2))}</pre></details>"
+
+
+def html_page(title: str, body: Sequence[str], scripts: Sequence[str] = ()) -> str:
+    """Return a whole page with the style of all reports."""
+    return "\n".join(
+        [
+            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            f"<title>{escape(title)}</title><style>{asset('style.css')}</style></head><body><main>",
+            *body,
+            f"</main>{chr(10).join(scripts)}</body></html>",
+        ]
+    )
+
+
+def asset(name: str) -> str:
+    """Return the text of a file that lies beside the report's modules."""
+    return files("planish.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def name_tag(registration: Registration, name: str) -> str:

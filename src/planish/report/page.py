@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 
 from plotly.offline import get_plotlyjs
@@ -20,12 +19,11 @@ from planish.options import thread_count
 from planish.registration.result import Registration
 from planish.report import text
 from planish.report.figures import histogram_png, matches_png
-from planish.report.html import figure, figure_name
+from planish.report.html import asset, details, figure, figure_name, html_page
 from planish.report.overview import overview_png
 from planish.report.pairs import pairs_section
 from planish.report.scene import Scene, build_scene
 from planish.report.sections import (
-    details,
     measurements_section,
     overlap_section,
     refused_section,
@@ -121,21 +119,12 @@ def _page(
         details("versions", registration.versions),
     ]  # fmt: skip
     data = json.dumps(view_data(scene), separators=(",", ":"), allow_nan=False).replace("</", "<\\/")
-    return "\n".join(
-        [
-            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>Registration report</title><style>{_asset('style.css')}</style></head><body><main>",
-            *body,
-            f'</main><script type="application/json" id="view-data">{data}</script>',
-            f"<script>{get_plotlyjs()}</script>",
-            f"<script>{_asset('view.js')}</script></body></html>",
-        ]
+    scripts = (
+        f'<script type="application/json" id="view-data">{data}</script>',
+        f"<script>{get_plotlyjs()}</script>",
+        f"<script>{asset('view.js')}</script>",
     )
-
-
-def _asset(name: str) -> str:
-    return files("planish.report").joinpath(name).read_text(encoding="utf-8")
+    return html_page("Registration report", body, scripts)
 
 
 def _subtitle(registration: Registration) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from html import escape
 
@@ -95,8 +94,3 @@ def refused_section(registration: Registration) -> str:
         return ""
     columns = (("pair", ""), ("reason", ""), ("matches", ""), ("consensus", ""))
     return "<h2>Refused pairs</h2>" + html_table(columns, rows, "text")
-
-
-def details(title: str, content: Mapping[str, object]) -> str:
-    """Return a folded block of JSON."""
-    return f"<details><summary>{title}</summary><pre>{escape(json.dumps(content, indent=2))}</pre></details>"

@@ -25,6 +25,8 @@ DEVICE_PARAMETERS = INTRINSICS + DISTORTION + EXTERNAL
 #: Where the external ones stand in it.
 EXTERNAL_PART = slice(len(INTRINSICS) + len(DISTORTION), len(DEVICE_PARAMETERS))
 PROJECTOR = "projector"
+#: Share of the variances that make up another one below which it is their rounding.
+CANCELLED = 1e-13
 
 
 def split_name(name: str, devices: Sequence[str], subject: str = "covariance parameters") -> tuple[str, int]:
@@ -98,7 +100,11 @@ def covariance_in_frame(
             rows += list(picks[device][EXTERNAL_PART] - adjoint(T) @ picks[new][EXTERNAL_PART])
     J = np.array(rows).reshape(-1, len(names))
     order = sorted(range(len(J)), key=lambda i: _place([*kept, *external][i], devices))
-    moved = (J @ covariance @ J.T)[np.ix_(order, order)]
+    J = J[order]
+    moved = J @ covariance @ J.T
+    # What the devices have in common falls out; where nothing else is left, rounding is, of either sign.
+    exact = np.diag(moved) <= CANCELLED * np.diag(np.abs(J) @ np.abs(covariance) @ np.abs(J).T)
+    moved[exact] = moved[:, exact] = 0.0
     ordered = tuple([*kept, *external][i] for i in order)
     # A device that the old covariance left exact may still be: rows of zeros say nothing.
     used = [i for i, name in enumerate(ordered) if name in names or moved[i, i] > 0]

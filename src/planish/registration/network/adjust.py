@@ -38,16 +38,25 @@ class Adjusted:
         Per pair (a, b): how far the pair puts its overlap's centre from where the other pairs put it [mm]; 0 where
         nothing else ties the two together.
     residual_sigma : dict
-        The same in standard deviations (root of the quadratic form over the degrees of freedom).
+        The same in standard deviations of noise and calibration (root of the quadratic form over the degrees of
+        freedom).
+    noise_sigma : dict
+        The same by noise alone, the weights of the adjustment: the pair to blame has the largest one.
     variance_factor : float
-        Sum of squared normalised residuals over the redundancy; 1 where there is no loop.
+        Sum of squared normalised residuals over the redundancy and what errors of the calibration add to it; 1 where
+        there is no loop.
+    calibration : dict or None
+        Per name, the motions xi (k, 6) by all modes of all rigs, about the own centroid in world: errors of the
+        calibration are common to all measurements of a rig. None where a pair in use states none.
     """
 
     T_world_measurement: dict[str, Array]
     covariance: dict[str, Array]
     residual_mm: dict[tuple[str, str], float]
     residual_sigma: dict[tuple[str, str], float]
+    noise_sigma: dict[tuple[str, str], float]
     variance_factor: float
+    calibration: dict[str, Array] | None
 
 
 def adjust(
@@ -111,38 +120,67 @@ def _result(
     centroids: Mapping[str, Array],
     N: Array,
 ) -> Adjusted:
-    residual_mm, residual_sigma, total = {}, {}, 0.0
     inverse = _solve(N, np.eye(len(N)))
-    for pair, W in zip(edges, information, strict=True):
+    residuals, rows = [], []
+    for pair in edges:
         r, J = _residual(pair, T, centroids)
-        total += float(r @ W @ r)
         A = np.zeros((6, len(N)))
         for name in J.keys() & column.keys():
             A[:, column[name] : column[name] + 6] = J[name]
-        gap, sigma = _contradiction(r, _required(pair.covariance_noise), A @ inverse @ A.T)
+        residuals.append(r)
+        rows.append(A)
+    shifts = _common_shifts(edges)
+    # The network follows the pairs' errors by the gain of the least squares, one mode of a rig at a time.
+    pulls = (A.T @ W @ shift.T for A, W, shift in zip(rows, information, shifts, strict=True))
+    moved = inverse @ sum(pulls, np.zeros((len(N), 0 if not shifts else len(shifts[0]))))
+    residual_mm, residual_sigma, noise_sigma, total, by_calibration = {}, {}, {}, 0.0, 0.0
+    for pair, W, r, A, shift in zip(edges, information, residuals, rows, shifts, strict=True):
+        left = shift.T - A @ moved
+        total += float(r @ W @ r)
+        by_calibration += float(np.sum(left * (W @ left)))
+        gap, *sigmas = _contradiction(r, _required(pair.covariance_noise), A @ inverse @ A.T, left)
         residual_mm[pair.a, pair.b] = float(np.linalg.norm(gap[3:]))
-        residual_sigma[pair.a, pair.b] = sigma
+        residual_sigma[pair.a, pair.b], noise_sigma[pair.a, pair.b] = sigmas
     redundancy = 6 * (len(edges) - len(free))
-    factor = total / redundancy if redundancy > 0 else 1.0
+    # Errors of the rig that measurements do not share alike open loops too: they are expected.
+    factor = total / (redundancy + by_calibration) if redundancy > 0 else 1.0
     # Loops that close worse than the pairs' covariances promise speak for errors that those leave out.
     inverse = inverse * max(1.0, factor)
     covariance = {name: inverse[column[name] : column[name] + 6, column[name] : column[name] + 6] for name in free}
     covariance[reference] = np.zeros((6, 6))
-    return Adjusted(T, covariance, residual_mm, residual_sigma, factor)
+    calibration = None
+    if edges and all(pair.calibration_shifts is not None for pair in edges):
+        calibration = {name: moved[column[name] : column[name] + 6].T for name in free}
+        calibration[reference] = np.zeros((moved.shape[1], 6))
+    return Adjusted(T, covariance, residual_mm, residual_sigma, noise_sigma, factor, calibration)
 
 
-def _contradiction(r: Array, C: Array, C_adjusted: Array) -> tuple[Array, float]:
-    """Difference xi of a pair from what all others say, and its size in standard deviations.
+def _common_shifts(edges: Sequence[PairResult]) -> list[Array]:
+    """Return per pair its shifts (k, 6) by all modes of all rigs in the group; zero by rigs of other measurements."""
+    stated = [dict(pair.calibration_shifts or {}) for pair in edges]
+    modes = {key: len(xi) for shifts in stated for key, xi in shifts.items()}
+    return [
+        np.concatenate([np.zeros((0, 6)), *(shifts.get(key, np.zeros((modes[key], 6))) for key in sorted(modes))])
+        for shifts in stated
+    ]
+
+
+def _contradiction(r: Array, C: Array, C_adjusted: Array, calibration: Array) -> tuple[Array, float, float]:
+    """Difference xi of a pair from what all others say, its size in standard deviations, and that by noise alone.
 
     A certain pair pulls the network along, so that its residual r alone shows little of its error; the covariance of r,
     C - C_adjusted, undoes that (data snooping, Baarda 1968). Directions that no other pair controls count nothing.
+    `calibration` (6, k) is what each mode of the rigs leaves in r: it adds to what r may be.
     """
     d = np.sqrt(np.diag(C))
     values, vectors = np.linalg.eigh((C - C_adjusted) / np.outer(d, d))
     controlled = values > _UNCONTROLLED
-    z = vectors[:, controlled].T @ (r / d)
-    gap = C @ (vectors[:, controlled] @ (z / values[controlled]) / d)
-    return gap, float(np.sqrt(z @ (z / values[controlled]) / 6))
+    V = vectors[:, controlled]
+    z, modes = V.T @ (r / d), V.T @ (calibration / d[:, None])
+    gap = C @ (V @ (z / values[controlled]) / d)
+    spread = np.diag(values[controlled]) + modes @ modes.T
+    sigma, by_noise = z @ np.linalg.solve(spread, z), z @ (z / values[controlled])
+    return gap, float(np.sqrt(sigma / 6)), float(np.sqrt(by_noise / 6))
 
 
 #: Share of a pair's variance left to its residual below which only rounding is left of it.

@@ -79,7 +79,7 @@ def _adjust_without_blunders(
         adjusted = adjust(start_transforms(names, reference, pairs), reference, pairs, centroids, options)
         # In a lone triangle all three contradict alike: the pair with the weakest evidence goes.
         suspects = [
-            (round(adjusted.residual_sigma[p.a, p.b], 6), p.log10_false_alarms, i)
+            (round(adjusted.noise_sigma[p.a, p.b], 6), p.log10_false_alarms, i)
             for i, p in enumerate(pairs)
             if (p.a, p.b) in adjusted.residual_mm
             and adjusted.residual_mm[p.a, p.b] > options.blunder_mm
@@ -88,8 +88,9 @@ def _adjust_without_blunders(
         ]
         if not suspects:
             return adjusted, pairs
-        sigma, _, worst = max(suspects)
+        _, _, worst = max(suspects)
         pair = pairs[worst]
+        sigma = adjusted.residual_sigma[pair.a, pair.b]
         reason = (
             f"contradicts the other pairs by {adjusted.residual_mm[pair.a, pair.b]:.2f} mm ({sigma:.0f} sigma): "
             "taken out of the network"
@@ -99,7 +100,9 @@ def _adjust_without_blunders(
 
 def _place(node: Node, group: int, adjusted: Adjusted) -> PlacedMeasurement:
     T = adjusted.T_world_measurement[node.name]
+    moved = None if adjusted.calibration is None else adjusted.calibration[node.name]
     return PlacedMeasurement(
-        node.name, node.file, node.sha256, group, T, adjusted.covariance[node.name], None,
+        node.name, node.file, node.sha256, group, T, adjusted.covariance[node.name],
+        None if moved is None else moved.T @ moved,
         np.asarray(transform_points(T, node.centroid_sensor)),
     )  # fmt: skip

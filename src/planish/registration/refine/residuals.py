@@ -157,15 +157,61 @@ def equations(
 ) -> Equations:
     """Return the normal equations of b against a; `weights` None = every residual counts alike (to find the scales)."""
     w = weights or Weights(np.inf, np.inf, 1.0, 1.0)
-    tile = max(stride, tile_px // stride * stride)
-    options = (
-        max_distance_mm, float(np.cos(max_normal_rad)), w.scale_distance_mm, w.scale_texture, w.distance, w.texture,
-        stride, tile,
-    )  # fmt: skip
     d, t, Hd, Ht, correlation, conflicts, tiles, distances, differences = _core.joint_normal_equations(
-        a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float), options, residuals, threads
-    )
+        a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float),
+        _kernel_options(w, max_distance_mm, max_normal_rad, stride, tile_px), residuals, threads,
+    )  # fmt: skip
     return Equations(
         d[0], d[1][0], t[0], t[1][0], Hd, Ht, d[4], t[4], d[2] + t[2], d[3], t[3], correlation, conflicts,
         tiles, distances, differences,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Pull:
+    """What displacements do to the gradient of the joint cost, per tile (n) of b that meets the surface of a.
+
+    Parameters
+    ----------
+    pixels : ndarray (n, 2) int
+        (u, v) of the pixel of b nearest to the tile's middle.
+    by_shift : ndarray (n, 6, 3)
+        Change of the gradient by a displacement [mm] in frame a of the tile's points of b and of their texture;
+        displacements of a's points count with the opposite sign.
+    """
+
+    pixels: NDArray[np.intp]
+    by_shift: Array
+
+
+def pull(
+    a: JointSide,
+    b: JointSide,
+    T_a_b: Array,
+    about: Array,
+    weights: Weights,
+    *,
+    max_distance_mm: float,
+    max_normal_rad: float,
+    stride: int,
+    tile_px: int,
+    threads: int,
+) -> Pull:
+    """Return how the gradient of `equations` changes where points and texture of one side are displaced."""
+    by_shift, places = _core.joint_pull(
+        a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float),
+        _kernel_options(weights, max_distance_mm, max_normal_rad, stride, tile_px), threads,
+    )  # fmt: skip
+    met = places[0] >= 0
+    v, u = np.divmod(places[0, met], b.maps[0].shape[1])
+    return Pull(np.stack([u, v], -1), by_shift[met])
+
+
+def _kernel_options(
+    w: Weights, max_distance_mm: float, max_normal_rad: float, stride: int, tile_px: int
+) -> tuple[float, float, float, float, float, float, int, int]:
+    tile = max(stride, tile_px // stride * stride)
+    return (
+        max_distance_mm, float(np.cos(max_normal_rad)), w.scale_distance_mm, w.scale_texture, w.distance, w.texture,
+        stride, tile,
     )  # fmt: skip

@@ -131,12 +131,15 @@ MIN_POINTS = 300
 
 def _step(e: Equations, lever_mm: float, max_sigma_mm: float) -> Array:
     """Gauss-Newton step, without the directions that neither geometry nor texture holds."""
+    V, values = held_directions(e, lever_mm, max_sigma_mm)
+    return -V @ ((V.T @ (e.g_distance + e.g_texture)) / values)
+
+
+def held_directions(e: Equations, lever_mm: float, max_sigma_mm: float) -> tuple[Array, Array]:
+    """Return the directions (6, m) of xi that are updated, conjugate with respect to H, and their information (m,)."""
     scale = np.array([lever_mm] * 3 + [1.0] * 3)
     # The gradient of a robust cost changes by its slope of H only: with H alone the steps fall short.
     H = max(e.slope_distance, _MIN_SLOPE) * e.H_distance + max(e.slope_texture, _MIN_SLOPE) * e.H_texture
-    H = H / np.outer(scale, scale)
-    g = (e.g_distance + e.g_texture) / scale
-    values, vectors = np.linalg.eigh(H)
+    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     held = values > 1 / max_sigma_mm**2
-    z = vectors[:, held] @ ((vectors[:, held].T @ g) / values[held])
-    return -z / scale
+    return vectors[:, held] / scale[:, None], values[held]

@@ -27,7 +27,7 @@ from planish.sensing.calibrate.adjust.stages import (
 from planish.sensing.calibrate.observations import BoardObservations
 from planish.sensing.calibrate.result import Calibration
 
-ModelName = Literal["none", "radial 1", "radial", "radial 3", "tangential", "tangential 3", "rational", "prism"]
+ModelName = Literal["none", "radial", "radial 3", "tangential", "tangential 3", "rational", "prism"]
 #: Stage, how much of it is done, how much there is.
 Progress = Callable[[str, int, int], None]
 #: Stages as `progress` names them.

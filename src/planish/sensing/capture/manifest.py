@@ -133,17 +133,29 @@ class Capture:
         for folder in (prefer, self.images_dir):
             if folder is None:
                 continue
-            try:
-                path = (folder / name).resolve()
-                exists = path.is_file()
-            except (OSError, ValueError, RuntimeError):  # too long, a zero byte, a circle of links
-                raise InputError(self.path, f"'{name[:80]}' is no file name", "a name inside the folder") from None
-            # A manifest from outside must not make us read files elsewhere on the machine.
-            if not path.is_relative_to(folder.resolve()):
-                raise InputError(self.path, f"the name '{name}' leaves the folder {folder}", "a name inside it")
+            exists = inside_folder(folder, name, self.path).is_file()
             if exists or folder == self.images_dir:
                 return folder / name
         raise AssertionError
+
+
+def inside_folder(folder: Path, name: str, subject: Path) -> Path:
+    """Return the path of a name inside a folder.
+
+    Raises
+    ------
+    InputError
+        Where the name leaves the folder or is none; it names `subject`, the manifest.
+    """
+    try:
+        path = (folder / name).resolve()
+        path.is_file()
+    except (OSError, ValueError, RuntimeError):  # too long, a zero byte, a circle of links
+        raise InputError(subject, f"'{name[:80]}' is no file name", "a name inside the folder") from None
+    # A manifest from outside must not make us read files elsewhere on the machine.
+    if not path.is_relative_to(folder.resolve()):
+        raise InputError(subject, f"the name '{name}' leaves the folder {folder}", "a name inside it")
+    return folder / name
 
 
 class ImageReader:

@@ -92,6 +92,21 @@ def axis_to_projector(phases: Mapping[Axis, PhaseMap], own: Camera, projector: C
     return best
 
 
+def axis_weights(phases: Mapping[Axis, PhaseMap]) -> tuple[float, float] | None:
+    """Return by how much columns and rows of the projector count in its points: shares of the inverse variances.
+
+    `phases` are the camera's positions (H, W) per axis; None where there are none.
+    """
+    information = {"u": 0.0, "v": 0.0}
+    for axis, phase in phases.items():
+        sigma = phase.sigma_px[::SAMPLE_STRIDE, ::SAMPLE_STRIDE]
+        known = np.isfinite(sigma) & (sigma > 0)
+        if known.any():
+            information[axis] = 1 / float(np.median(sigma[known])) ** 2
+    total = sum(information.values())
+    return None if total == 0 else (information["u"] / total, information["v"] / total)
+
+
 def _gradients(phase: PhaseMap) -> tuple[NDArray[np.floating], ...]:
     """Pixels (n,), change of position per pixel along u and v, and sigma, of a sample of the map."""
     p, s = phase.position_px, SAMPLE_STRIDE

@@ -15,7 +15,7 @@ from planish.sensing.calibrate.adjust.geometry_checks import weak_geometry
 from planish.sensing.calibrate.adjust.left_out import covariance_factor, leave_out
 from planish.sensing.calibrate.adjust.robust import Adjusted
 from planish.sensing.calibrate.adjust.scale import scale_of
-from planish.sensing.calibrate.adjust.shape import test_shape
+from planish.sensing.calibrate.adjust.shape import shape_of
 from planish.sensing.calibrate.adjust.stages import misfit
 from planish.sensing.calibrate.observations import BoardObservations
 from planish.sensing.calibrate.result import Calibration, LensModel, Residuals
@@ -52,7 +52,7 @@ def conclude(
     )
     left_out = leave_out(item)
     factor, told_factor = _factor(item)
-    shape = test_shape(item, observations.board)
+    shape = shape_of(item, observations.board)
     scale = scale_of(observations.board, item.problem.points_board)
     covariance = factor * item.covariance()[: len(item.free.names), : len(item.free.names)]
     translation = _translation(item)
@@ -71,7 +71,7 @@ def conclude(
         observations=observations,
         T_A_board={item.problem.views[v]: places[v] for v in views},
         residuals=residuals_of(item),
-        noise_px={name: item.noise[name] * _stated(item, name) for name in item.problem.devices},
+        noise_px={name: float(item.noise[name]) * _stated(item, name) for name in item.problem.devices},
         models=dict(models),
         left_out_rms_px={name: left_out.rms_px(name) for name in item.problem.devices},
         scale=(scale.value, scale.sigma),
@@ -106,10 +106,13 @@ def _factor(item: Adjusted) -> tuple[float, Finding]:
     sure = chi2.sf(factor * dof, dof) < CHANCE and factor > 1
     told = (
         f"left-out boards are {np.sqrt(factor):.2f} times as far off as noise explains: the covariance is enlarged by "
-        f"{factor:.2f}. Causes are a board that is not rigid, images of moving boards, or a lens model that is too simple"
+        f"{factor:.2f}. "
+        "Causes are a board that is not flat, rigid or as stated, one that moved, or a lens model that is too simple"
     )
     source = f"chi-square over degrees of freedom ({dof}) of each view against the adjustment without it"
-    finding = Finding("misfit of left-out boards against the covariance", factor, np.sqrt(2 / max(dof, 1)), "", source)
+    finding = Finding(
+        "misfit of left-out boards against the covariance", factor, float(np.sqrt(2 / max(dof, 1))), "", source
+    )
     return (factor, replace(finding, warning=told)) if sure else (1.0, finding)
 
 

@@ -59,7 +59,7 @@ def equations(
         R, c = len(line.rows), line.jacobian.shape[-1]
         root = np.sqrt(weight[line.rows])[..., None]
         whole = np.concatenate([line.jacobian * root[..., None], (line.residual_px * root)[..., None]], -1)
-        whole = whole.reshape(R, -1, c + 1)
+        whole = whole.reshape(R, 2 * weight.shape[1], c + 1)
         at = np.r_[line.columns, np.arange(C, C + PLACE + 1)]
         full[np.ix_(line.rows, at, at)] += whole.transpose(0, 2, 1) @ whole
     prior, prior_g, cost = np.zeros((C, C)), np.zeros(C), float(full[:, -1, -1].sum())
@@ -84,7 +84,7 @@ def inverse_places(bb: Array) -> Array:
     scaled[empty] = np.eye(PLACE)
     inverse = np.linalg.inv(scaled) * scale[:, :, None] * scale[:, None]
     inverse[empty] = 0.0
-    return inverse
+    return np.asarray(inverse, np.float64)
 
 
 def solve(item: Equations, damping: float = 0.0) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from planish.sensing.calibrate.adjust.lens_models import FEW_VIEWS
 from planish.sensing.calibrate.adjust.problem import Free, Problem
 from planish.sensing.calibrate.adjust.robust import Adjusted
 from planish.sensing.calibrate.adjust.solve import Solution, fixed, least_squares
+from planish.sensing.calibrate.observations import Index
 
 #: Directions in which a view says less about the parameters than this share of its best one do not count.
 VIEW_RANK_SHARE = 1e-9
@@ -54,7 +55,7 @@ def leave_out(item: Adjusted) -> LeftOut:
     residuals = [np.zeros_like(block.observed_px) for block in problem.blocks]
     if len(views) < FEW_VIEWS:
         for v in views:
-            for whole, line in zip(residuals, _refit(item, v).lines, strict=True):
+            for whole, line in zip(residuals, _refit(item, int(v)).lines, strict=True):
                 at = line.rows == v
                 whole[v] = line.residual_px[at][0] if at.any() else 0.0
     else:
@@ -100,7 +101,7 @@ def covariance_factor(solution: Solution) -> tuple[float, int]:
 
 
 def _predicted(
-    solution: Solution, jacobian: Array, rows: Array, columns: Array, residual: Array, change: Array
+    solution: Solution, jacobian: Array, rows: Index, columns: Index, residual: Array, change: Array
 ) -> Array:
     whole = solution.equations
     places = (
@@ -115,7 +116,7 @@ def _refit(item: Adjusted, view: int) -> Solution:
     problem, only = item.problem, np.arange(len(item.problem.views)) == view
     without = fixed([np.where(only[:, None], 0.0, weight) for weight in item.solution.weights])
     rest = least_squares(problem, item.state, item.free, without)
-    nothing = Free({name: () for name in item.free.places})
+    nothing = Free(dict.fromkeys(item.free.places, ()))
     weights = fixed([np.where(only[:, None], weight, 0.0) for weight in item.solution.weights])
     if item.free.modes:
         problem = shaped(problem, rest.state.amplitudes)

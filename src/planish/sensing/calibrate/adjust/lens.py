@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import t as student
 
 from planish.geometry import Array
 from planish.rig import Camera
@@ -19,6 +20,8 @@ from planish.sensing.calibrate.result import LensModel
 
 #: The ladder is left after this many models that are no better than one before them.
 PATIENCE = 3
+#: Probability below one standard error of a normal distribution: with few views, Student's is wider.
+ONE_SIGMA = 0.8413
 #: Pixels at which a model must be one to one: columns and rows over the image.
 GRID = (15, 11)
 #: Equations (scaled to unit diagonal) worse conditioned than this say nothing about some parameter.
@@ -54,7 +57,7 @@ def choose_model(item: Adjusted, device: str, forced: str | None) -> Chosen:
     views = int(item.problem.seen_by(device).sum())
     steps = ladder(views)
     if forced is not None:
-        steps = tuple(step for step in steps if step.name == forced)
+        steps = tuple(step for step in steps if step.name == forced) or (Model(forced),)
     scores: dict[Model, Array] = {}
     for step in steps:
         if (score := _score(item, device, step)) is not None:
@@ -73,7 +76,7 @@ def choose_model(item: Adjusted, device: str, forced: str | None) -> Chosen:
 def with_model(item: Problem, state: State, device: str, model: Model) -> Problem:
     """Return the problem with the pseudo-observations that a model of one device wants, and no others of it."""
     others = tuple(pseudo for pseudo in item.pseudo if pseudo.device != device)
-    own = held_pseudo(device, state.devices[device]) if model.held else ()
+    own = held_pseudo(device, state.devices[device], model.coefficients) if model.held else ()
     return replace(item, pseudo=(*others, *own))
 
 
@@ -123,7 +126,8 @@ def _within(score: Array, best: Array) -> bool:
     worse = score - best
     if len(worse) < 2:
         return bool(worse.sum() <= 0)
-    return bool(worse.mean() <= worse.std(ddof=1) / np.sqrt(len(worse)))
+    errors = student.ppf(ONE_SIGMA, len(worse) - 1)
+    return bool(worse.mean() <= errors * worse.std(ddof=1) / np.sqrt(len(worse)))
 
 
 def _told(chosen: Model, best: Model, scores: Mapping[Model, Array], forced: str | None) -> LensModel:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from planish.rig import Camera
 from planish.rig.parameters import PROJECTOR
@@ -12,7 +14,6 @@ from planish.sensing.calibrate.adjust.problem import Pseudo
 #: Distortion coefficients of the models, simplest first; "radial" is that of the starting paper.
 COEFFICIENTS: Mapping[str, tuple[str, ...]] = {
     "none": (),
-    "radial 1": ("k1",),
     "radial": ("k1", "k2"),
     "radial 3": ("k1", "k2", "k3"),
     "tangential": ("k1", "k2", "p1", "p2"),
@@ -23,7 +24,6 @@ COEFFICIENTS: Mapping[str, tuple[str, ...]] = {
 #: In words, for sentences and reports.
 WORDS: Mapping[str, str] = {
     "none": "no distortion",
-    "radial 1": "radial distortion k1",
     "radial": "radial distortion k1 k2",
     "radial 3": "radial distortion k1 k2 k3",
     "tangential": "radial and tangential distortion k1 k2 p1 p2",
@@ -33,14 +33,18 @@ WORDS: Mapping[str, str] = {
 }
 #: Below this number of views the principal point and the form of the pixels may be held.
 FEW_VIEWS = 6
-#: Standard deviations of what holds them: fy / fx - 1, and the principal point's distance from the middle as a share
-#: of the image's width; a projector looks upwards or downwards, so that its middle is free by a whole height.
-ASPECT_SIGMA, MIDDLE_SIGMA, HEIGHT_SIGMA = 0.002, 0.03, 1.0
+#: Standard deviations of what holds them: fy / fx - 1, and the principal point's distance from the middle as a share of
+#: the image's size; many projectors look past their middle on purpose, so that theirs is free by a whole image.
+ASPECT_SIGMA, MIDDLE_SIGMA, PROJECTOR_SIGMA = 0.002, 0.03, 1.0
+#: Standard deviation of each term of a held model's distortion in the image's corners, as a share of their distance.
+DISTORTION_SIGMA = 0.05
+#: Powers of that distance to which the coefficients of held models go.
+POWERS = {"k1": 2, "k2": 4, "p1": 1, "p2": 1}
 
 
 @dataclass(frozen=True, order=True)
 class Model:
-    """A step of the ladder: `held` models have square pixels and the principal point near the middle."""
+    """A step of the ladder: `held` models have square pixels and the principal point near the middle, weakly."""
 
     name: str
     held: bool = False
@@ -53,7 +57,7 @@ class Model:
     @property
     def words(self) -> str:
         """The model in words."""
-        held = f", square pixels (within {ASPECT_SIGMA:.1%}) and a middle principal point" if self.held else ""
+        held = f", square pixels (within {ASPECT_SIGMA:.1%}) and a weakly held principal point" if self.held else ""
         return WORDS[self.name] + held
 
     @property
@@ -65,20 +69,23 @@ class Model:
 def ladder(views: int) -> tuple[Model, ...]:
     """Return the models to try, simplest first; held ones come with few views only."""
     if views >= FEW_VIEWS:
-        # A k2 that the boards hardly show is still a k2: without it the covariance would claim too much.
-        return tuple(Model(name) for name in COEFFICIENTS if name != "radial 1")
-    return (*(Model(name, True) for name in ("none", "radial 1", "radial")), *(Model(name) for name in COEFFICIENTS))
+        return tuple(Model(name) for name in COEFFICIENTS)
+    # Three views hardly refute that there is no distortion; that it is small costs nothing to suppose.
+    return tuple(Model(name, held) for held in (True, False) for name in ("radial", "tangential"))
 
 
-def held_pseudo(device: str, camera: Camera) -> tuple[Pseudo, ...]:
-    """Return pseudo-observations of square pixels and a principal point near the middle of the image."""
+def held_pseudo(device: str, camera: Camera, coefficients: Sequence[str]) -> tuple[Pseudo, ...]:
+    """Return pseudo-observations of square pixels, a principal point near the middle, and distortion near none."""
     width, height = camera.size_px
     ratio = camera.K[1, 1] / camera.K[0, 0]
     # A projector with mirrors on a diamond has pixels of 2 : 1; the start has told which.
     aspect = min((1.0, 2.0, 0.5), key=lambda value: abs(ratio / value - 1))
-    vertical = HEIGHT_SIGMA * height if device == PROJECTOR else MIDDLE_SIGMA * width
+    middle = (PROJECTOR_SIGMA if device == PROJECTOR else MIDDLE_SIGMA) * width
+    corner = 0.5 * float(np.hypot(width / camera.K[0, 0], height / camera.K[1, 1]))
+    lens = (Pseudo(device, {name: 1.0}, 0.0, DISTORTION_SIGMA / corner ** POWERS[name]) for name in coefficients)
     return (
         Pseudo(device, {"fy": 1.0, "fx": -aspect}, 0.0, ASPECT_SIGMA * camera.K[1, 1]),
-        Pseudo(device, {"cx": 1.0}, (width - 1) / 2, MIDDLE_SIGMA * width),
-        Pseudo(device, {"cy": 1.0}, (height - 1) / 2, vertical),
+        Pseudo(device, {"cx": 1.0}, (width - 1) / 2, middle),
+        Pseudo(device, {"cy": 1.0}, (height - 1) / 2, middle),
+        *lens,
     )

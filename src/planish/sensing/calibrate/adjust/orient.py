@@ -15,9 +15,10 @@ from planish.geometry import Array, invert
 from planish.measurement import Finding
 from planish.rig import Camera
 from planish.rig.parameters import PROJECTOR
-from planish.sensing.calibrate.adjust.problem import Block, Problem
-from planish.sensing.calibrate.adjust.start import place_boards
+from planish.sensing.calibrate.adjust.problem import Block, Problem, placed
+from planish.sensing.calibrate.adjust.start import place_boards, upside_down
 from planish.sensing.calibrate.adjust.symmetry import Turn
+from planish.sensing.calibrate.observations import Index
 
 #: A view fits where the other device's image of the board is predicted within this share of the image's width ...
 FIT_SHARE = 0.01
@@ -25,6 +26,8 @@ FIT_SHARE = 0.01
 FIT_TIMES = 5.0
 #: So many points of the board serve for the search.
 SEARCH_POINTS = 16
+#: Error of a point that is predicted behind the device [px].
+BEHIND_PX = 1e6
 #: So many views at most propose an orientation.
 PROPOSING_VIEWS = 60
 
@@ -65,19 +68,27 @@ class _Pair:
     images: tuple[Mapping[str, str], ...]
 
     @property
-    def shared(self) -> Array:
-        placed = np.isfinite(self.T_sensor_board).all((1, 2)) & np.isfinite(self.T_device_board).all((1, 2))
-        return np.flatnonzero(placed & self.block.seen.any(1))
+    def shared(self) -> Index:
+        known = placed(self.T_sensor_board) & placed(self.T_device_board)
+        return np.flatnonzero(known & self.block.views)
 
-    def errors(self, T_device_sensor: Array, view: int, T_sensor_board: Array, observed_px: Array) -> Array:
-        """Median error [px] of the predicted image of the board, per turn of its numbering."""
-        seen = np.flatnonzero(self.block.seen[view])
-        seen = seen[:: max(1, len(seen) // SEARCH_POINTS)]
-        T = np.stack([T_device_sensor @ T_sensor_board @ turn.T_board_board for turn in self.turns])
-        points = self.problem.points_board[seen] @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
+    def errors(
+        self, T_device_sensor: Array, views: Index, T_sensor_board: Array, observed_px: Array | None = None
+    ) -> Array:
+        """Median error [px] of the predicted images of the board (n, turns), per turn of its numbering."""
+        observed = self.block.observed_px if observed_px is None else observed_px
+        turned = np.stack([turn.T_board_board for turn in self.turns])
+        T = (T_device_sensor @ T_sensor_board)[:, None] @ turned
+        index = np.stack([_some(np.flatnonzero(self.block.seen[v])) for v in views])
+        points = self.problem.points_board[index][:, None] @ T[..., :3, :3].swapaxes(-1, -2) + T[..., None, :3, 3]
         own = replace(self.camera, T_camera_sensor=np.eye(4))
-        away = np.linalg.norm(own.project(points) - observed_px[seen], axis=-1)
-        return np.median(np.nan_to_num(away, nan=1e9), axis=1)
+        away = np.linalg.norm(own.project(points) - observed[views[:, None], index][:, None], axis=-1)
+        return np.asarray(np.median(np.nan_to_num(away, nan=BEHIND_PX), axis=-1))
+
+
+def _some(seen: Index) -> Index:
+    """SEARCH_POINTS of the seen points, evenly."""
+    return seen[np.linspace(0, len(seen) - 1, SEARCH_POINTS).round().astype(int)]
 
 
 def orient(
@@ -108,17 +119,18 @@ def orient(
     images : tuple of mappings
         Per view, names of the cameras' images.
     """
-    own = place_boards(block, problem.points_board, camera, block.seen.any(1))
+    own = place_boards(block, problem.points_board, camera, block.views)
     turns = turns[:1] if block.device == PROJECTOR else turns
     pair = _Pair(problem, block, camera, devices, T_sensor_board, own, turns, images)
     best, least = np.eye(4), np.inf
     tolerance = FIT_SHARE * camera.size_px[0]
-    proposing = pair.shared[:: max(1, -(-len(pair.shared) // PROPOSING_VIEWS))]
+    shared = pair.shared
+    proposing = shared[:: max(1, -(-len(shared) // PROPOSING_VIEWS))]
     for v in proposing:
         for turn in turns:
             T = own[v] @ invert(T_sensor_board[v] @ turn.T_board_board)
-            error = [pair.errors(T, w, T_sensor_board[w], block.observed_px[w]).min() for w in pair.shared]
-            score = float(np.log1p((np.array(error) / tolerance) ** 2).sum())
+            error = pair.errors(T, shared, T_sensor_board[shared]).min(1)
+            score = float(np.log1p((error / tolerance) ** 2).sum())
             if score < least:
                 best, least = T, score
     return _apply(pair, best)
@@ -126,50 +138,45 @@ def orient(
 
 def _apply(pair: _Pair, T_device_sensor: Array) -> Oriented:
     """Number the boards alike, leave out what contradicts, place the boards that only this device sees."""
-    errors = {
-        v: pair.errors(T_device_sensor, v, pair.T_sensor_board[v], pair.block.observed_px[v]) for v in pair.shared
-    }
-    smallest = np.array([error.min() for error in errors.values()])
-    limit = max(FIT_SHARE * pair.camera.size_px[0], FIT_TIMES * float(np.median(smallest)))
+    errors = pair.errors(T_device_sensor, pair.shared, pair.T_sensor_board[pair.shared])
+    limit = max(FIT_SHARE * pair.camera.size_px[0], FIT_TIMES * float(np.median(errors.min(1))))
     problem, findings = pair.problem, []
     places = pair.T_sensor_board.copy()
-    for v, error in errors.items():
+    for v, error in zip(pair.shared, errors, strict=True):
         if error.min() > limit:
             blamed, finding = _explain(pair, T_device_sensor, v, limit)
             problem = without_images(problem, v, blamed)
             findings.append(finding)
+            if pair.block.device not in blamed:
+                places[v] = np.nan
         elif (turn := pair.turns[int(error.argmin())]).quarters:
             problem = _renumbered(problem, pair.block.device, v, turn)
             findings.append(_turned_labels(pair, v, turn))
-    T_sensor_device = invert(T_device_sensor)
-    for v in np.flatnonzero(~np.isfinite(places).all((1, 2)) & np.isfinite(pair.T_device_board).all((1, 2))):
-        places[v] = T_sensor_device @ pair.T_device_board[v]
+    unplaced = ~placed(places) & placed(pair.T_device_board)
+    places[unplaced] = invert(T_device_sensor) @ pair.T_device_board[unplaced]
     return Oriented(problem, replace(pair.camera, T_camera_sensor=T_device_sensor), places, tuple(findings))
 
 
 def _explain(pair: _Pair, T_device_sensor: Array, view: int, limit: float) -> tuple[tuple[str, ...], Finding]:
     """Which images of a contradicting view are to blame: one that is saved upside down, or all."""
-    name, block = pair.problem.views[view], pair.block
+    name, block, only = pair.problem.views[view], pair.block, np.array([view])
     candidates: dict[str, float] = {}
     if block.device != PROJECTOR:
-        turned = _upside_down(block, pair.camera)
-        error = pair.errors(T_device_sensor, view, pair.T_sensor_board[view], turned.observed_px[view])
+        turned = upside_down(block, pair.camera)
+        error = pair.errors(T_device_sensor, only, pair.T_sensor_board[only], turned.observed_px)
         candidates[block.device] = float(error.min())
     for device, camera in pair.devices.items():
         for other in pair.problem.blocks_of(device):
             if other.through is None and other.seen[view].any():
-                turned = _upside_down(other, camera)
-                only = np.arange(len(pair.problem.views)) == view
-                T = invert(camera.T_camera_sensor) @ place_boards(turned, pair.problem.points_board, camera, only)[view]
+                turned = upside_down(other, camera)
+                here = np.arange(len(pair.problem.views)) == view
+                T = invert(camera.T_camera_sensor) @ place_boards(turned, pair.problem.points_board, camera, here)[only]
                 if np.isfinite(T).all():
-                    candidates[device] = float(pair.errors(T_device_sensor, view, T, block.observed_px[view]).min())
+                    candidates[device] = float(pair.errors(T_device_sensor, only, T).min())
     device = min(candidates, key=lambda key: candidates[key], default="")
     if device and candidates[device] <= limit:
         image = pair.images[view].get(device, device)
-        told = f"view {name}: image {image} does not fit; it would if it were turned by 180 degrees"
-        return (device,), Finding(
-            f"image {image}", 180.0, None, "deg", told, f"{told}; it is left out: save it as the camera sees it"
-        )
+        return (device,), upside_down_image(name, image)
     what = "the projector's code" if block.device == PROJECTOR else f"{', '.join(pair.images[view].values())}"
     told = f"view {name}: {what} contradicts the orientation of the devices that the other views agree on"
     blamed = (PROJECTOR,) if block.device == PROJECTOR else tuple(sorted(pair.images[view]))
@@ -178,8 +185,10 @@ def _explain(pair: _Pair, T_device_sensor: Array, view: int, limit: float) -> tu
     )
 
 
-def _upside_down(block: Block, camera: Camera) -> Block:
-    return replace(block, observed_px=np.array(camera.size_px) - 1.0 - block.observed_px)
+def upside_down_image(view: str, image: str) -> Finding:
+    """Return the finding that an image was saved upside down."""
+    told = f"view {view}: image {image} does not fit; it would if it were turned by 180 degrees"
+    return Finding(f"image {image}", 180.0, None, "deg", told, f"{told}; it is left out: save it as the camera sees it")
 
 
 def without_images(problem: Problem, view: int, devices: tuple[str, ...]) -> Problem:

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from planish.geometry import Array, exp_se3
 from planish.rig import Camera, Rig
 from planish.rig.derivatives import project_with_derivatives
-from planish.rig.parameters import DEVICE_PARAMETERS, EXTERNAL_PART, PROJECTOR, change_camera
+from planish.rig.parameters import DEVICE_PARAMETERS, DISTORTION, EXTERNAL_PART, PROJECTOR, change_camera
 from planish.sensing.calibrate.adjust.discs import disc_shift
-from planish.sensing.calibrate.observations import BoardObservations
+from planish.sensing.calibrate.observations import BoardObservations, Index
 from planish.sensing.capture.board import AsymmetricCircles, Circles, board_points
 
 Mask = NDArray[np.bool_]
@@ -56,6 +56,11 @@ class Block:
         return np.isfinite(self.sigma_px)
 
     @property
+    def views(self) -> Mask:
+        """Views (V,) in which the device sees the board."""
+        return np.asarray(self.seen.any(1), np.bool_)
+
+    @property
     def devices(self) -> tuple[str, ...]:
         """Devices whose parameters the residuals depend on."""
         return (self.device,) if self.through is None else (self.device, self.through)
@@ -85,6 +90,7 @@ class Pseudo:
         """Return value less adjusted sum."""
         K = camera.K
         own = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+        own.update(zip(DISTORTION, camera.distortion, strict=True))
         return self.value - sum(weight * own[name] for name, weight in self.weights.items())
 
 
@@ -128,7 +134,7 @@ class Problem:
     @property
     def covered(self) -> Mask:
         """Views (V,) in which some device still sees the board."""
-        return np.any([block.seen.any(1) for block in self.blocks], axis=0)
+        return np.any([block.views for block in self.blocks], axis=0)
 
     def blocks_of(self, device: str) -> tuple[Block, ...]:
         """Return the blocks of one device: one of a camera, one or two of the projector."""
@@ -136,7 +142,7 @@ class Problem:
 
     def seen_by(self, device: str) -> Mask:
         """Return the views (V,) in which a device sees the board."""
-        return np.any([block.seen.any(1) for block in self.blocks_of(device)], axis=0)
+        return np.any([block.views for block in self.blocks_of(device)], axis=0)
 
     def only(self, views: Mask) -> Problem:
         """Return the problem whose other views saw nothing."""
@@ -188,7 +194,7 @@ class Free:
             places[device] = (*sorted(own), *external)
         return cls(places, modes)
 
-    def columns(self, device: str) -> Array:
+    def columns(self, device: str) -> Index:
         """Return where a device's parameters stand in the vector (n,) int."""
         start = 0
         for name, places in self.places.items():
@@ -198,7 +204,7 @@ class Free:
         raise KeyError(device)
 
     @property
-    def mode_columns(self) -> Array:
+    def mode_columns(self) -> Index:
         """Where the amplitudes stand (k,) int."""
         return np.arange(self.size - self.modes, self.size)
 
@@ -229,10 +235,15 @@ class Linear:
         Derivative of the prediction by these columns and by the view's place.
     """
 
-    rows: NDArray[np.intp]
-    columns: NDArray[np.intp]
+    rows: Index
+    columns: Index
     residual_px: Array
     jacobian: Array
+
+
+def placed(T_sensor_board: Array) -> Mask:
+    """Return in which views (V,) the place (4, 4) of the board is known."""
+    return np.asarray(np.isfinite(T_sensor_board).all((1, 2)), np.bool_)
 
 
 def problem_of(observations: BoardObservations) -> Problem:
@@ -262,7 +273,7 @@ def problem_of(observations: BoardObservations) -> Problem:
 
 def linearise(problem: Problem, state: State, free: Free, block: Block) -> Linear:
     """Return residuals and derivatives of one block."""
-    rows = np.flatnonzero(block.seen.any(1))
+    rows = np.flatnonzero(block.views)
     T = state.T_sensor_board[rows]
     board = (
         problem.points_board + np.tensordot(state.amplitudes, problem.modes, 1) if free.modes else problem.points_board
@@ -302,7 +313,7 @@ def _project(camera: Camera, points: Array, places: Sequence[int]) -> tuple[Arra
         flat = flat + np.maximum(NEAREST_MM - depth, 0.0)[:, None] * T[2, :3]
     pixel, by_point, by_parameter = project_with_derivatives(camera, flat, places)
     shape = points.shape[:2]
-    return pixel.reshape(*shape, 2), by_point.reshape(*shape, 2, 3), by_parameter.reshape(*shape, 2, -1)
+    return pixel.reshape(*shape, 2), by_point.reshape(*shape, 2, 3), by_parameter.reshape(*shape, 2, len(places))
 
 
 def moved(problem: Problem, state: State, free: Free, change: Array, places: Array) -> State:

@@ -19,7 +19,7 @@ LEAST_ORDER, MOST_ORDER = 2, 4
 #: A shape is reported with a warning where chance gives it with less than this probability ...
 CHANCE = 1e-4
 #: ... and it is worth naming: shear and pitch ratio, and the bending as a share of the board's length.
-WORTH = 1e-5
+WORTH = 1e-4
 #: Share of the largest singular value below which a polynomial is none of its own on this grid.
 RANK_SHARE = 1e-6
 
@@ -66,7 +66,7 @@ def with_heights(problem: Problem) -> Problem:
     return replace(problem, modes=height_modes(problem.points_board))
 
 
-def test_shape(item: Adjusted, board: Board) -> Shape:
+def shape_of(item: Adjusted, board: Board) -> Shape:
     """Return what one Gauss-Newton step says about pitch ratio, shear and (where no heights are adjusted) bending."""
     centered = item.problem.points_board - item.problem.center
     x, y = centered[:, 0], centered[:, 1]

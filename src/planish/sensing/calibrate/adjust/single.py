@@ -10,9 +10,12 @@ import numpy as np
 from planish.rig import Camera
 from planish.rig.parameters import PROJECTOR
 from planish.sensing.calibrate.adjust.lens_models import FEW_VIEWS, held_pseudo
-from planish.sensing.calibrate.adjust.problem import Block, Free, Problem, State
+from planish.sensing.calibrate.adjust.problem import Block, Free, Problem, State, placed
 from planish.sensing.calibrate.adjust.robust import Adjusted, adjust_robustly
 from planish.sensing.calibrate.adjust.start import place_boards, start_camera
+
+#: The code is decoded at the corners; a corner farther away belongs to another image [px].
+NEAR_PX = 5.0
 
 
 def adjust_single(problem: Problem, block: Block, size_px: tuple[int, int], share: float) -> Adjusted:
@@ -21,8 +24,8 @@ def adjust_single(problem: Problem, block: Block, size_px: tuple[int, int], shar
     With few views the principal point and the form of the pixels are held by weak pseudo-observations.
     """
     camera = start_camera(block, problem.points_board, size_px)
-    few = int(block.seen.any(1).sum()) < FEW_VIEWS
-    pseudo = held_pseudo(block.device, camera) if few else ()
+    few = int(block.views.sum()) < FEW_VIEWS
+    pseudo = held_pseudo(block.device, camera, ("k1",)) if few else ()
     alone = replace(problem, blocks=(block,), pseudo=pseudo)
     # The places of the boards are better with a lens. Outliers are sought with a rich one, lest corners count as such.
     item = _adjust(replace(alone, modes=problem.modes[:0]), block, camera, ("k1",), share)
@@ -31,10 +34,10 @@ def adjust_single(problem: Problem, block: Block, size_px: tuple[int, int], shar
 
 
 def _adjust(problem: Problem, block: Block, camera: Camera, coefficients: Sequence[str], share: float) -> Adjusted:
-    places = place_boards(block, problem.points_board, camera, block.seen.any(1))
-    placed = np.isfinite(places).all((1, 2))
-    kept = replace(problem, blocks=(block.without(~placed[:, None]),))
-    places[~placed] = np.eye(4)
+    places = place_boards(block, problem.points_board, camera, block.views)
+    known = placed(places)
+    kept = replace(problem, blocks=(block.without(~known[:, None]),))
+    places[~known] = np.eye(4)
     free = Free.of({block.device: coefficients}, block.device, len(problem.modes))
     start = State({block.device: camera}, places, np.zeros(len(problem.modes)))
     return adjust_robustly(kept, start, free, share)
@@ -48,7 +51,9 @@ def as_camera(problem: Problem) -> Block:
         assert block.jacobian is not None
         assert block.camera_px is not None
         corners = problem.blocks_of(block.through)[0]
-        offset = np.where(corners.seen[..., None], corners.observed_px - block.camera_px, 0.0)
+        offset = corners.observed_px - block.camera_px
+        near = corners.seen & (np.linalg.norm(offset, axis=-1) < NEAR_PX)
+        offset = np.where(near[..., None], offset, 0.0)
         position = block.observed_px + (block.jacobian @ offset[..., None])[..., 0]
         if merged is None:
             merged = Block(PROJECTOR, None, position, block.sigma_px)

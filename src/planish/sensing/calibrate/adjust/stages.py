@@ -15,13 +15,16 @@ from planish.rig.parameters import PROJECTOR
 from planish.sensing.calibrate.adjust.geometry_checks import require_tilt, require_views, words
 from planish.sensing.calibrate.adjust.lens import Chosen, choose_model, free_with, start_with, with_model
 from planish.sensing.calibrate.adjust.lens_models import Model
-from planish.sensing.calibrate.adjust.orient import orient, without_images
-from planish.sensing.calibrate.adjust.problem import Block, Free, Problem, State
+from planish.sensing.calibrate.adjust.orient import orient, upside_down_image, without_images
+from planish.sensing.calibrate.adjust.problem import Block, Free, Mask, Problem, State, placed
 from planish.sensing.calibrate.adjust.robust import Adjusted, adjust_robustly
 from planish.sensing.calibrate.adjust.single import adjust_single, as_camera
+from planish.sensing.calibrate.adjust.start import place_boards, place_errors, upside_down
 from planish.sensing.calibrate.adjust.symmetry import turns
 from planish.sensing.calibrate.observations import BoardObservations
 
+#: An image that does not fit was saved upside down where it fits so much better when turned.
+BETTER_TURNED = 0.3
 #: The device whose frame is the sensor frame.
 REFERENCE = "A"
 
@@ -87,9 +90,11 @@ def join_cameras(
     """
     findings: list[Finding] = []
     for name, (item, _) in started.items():
+        turned = _turned(problem, name, item)
         for _, view in item.dropped:
+            label, image = problem.views[view], observations.views[view].images.get(name, name)
+            findings.append(upside_down_image(label, image) if turned[view] else misfit(observations, label, name))
             problem = without_images(problem, view, (name,))
-            findings.append(misfit(observations, problem.views[view], name))
     reference = started[REFERENCE][0]
     places = reference.state.T_sensor_board.copy()
     places[~reference.problem.seen_by(REFERENCE)] = np.nan
@@ -124,7 +129,7 @@ def join_projector(now: Started, observations: BoardObservations, forced: str | 
 def adjust_everything(now: Started, coefficients: Mapping[str, tuple[str, ...]], share: float) -> Adjusted:
     """Return the adjustment of all devices and boards at once, with these distortion coefficients per device."""
     places = now.T_sensor_board.copy()
-    unplaced = ~np.isfinite(places).all((1, 2))
+    unplaced = ~placed(places)
     places[unplaced] = np.eye(4)
     blocks = tuple(block.without(unplaced[:, None]) for block in now.problem.blocks if block.device in coefficients)
     problem = replace(now.problem, blocks=blocks)
@@ -152,13 +157,23 @@ def misfit(observations: BoardObservations, view: str, device: str) -> Finding:
     return Finding(f"view {view}, {what}", None, None, "", told, f"{told}; it is left out")
 
 
+def _turned(problem: Problem, name: str, item: Adjusted) -> Mask:
+    """Which views (V,) of a camera fit much better when their image is turned by 180 degrees."""
+    camera, block = item.state.devices[name], problem.blocks_of(name)[0]
+    errors = []
+    for tried in (block, upside_down(block, camera)):
+        places = place_boards(tried, problem.points_board, camera, block.views)
+        errors.append(place_errors(tried, problem.points_board, camera, places))
+    return np.asarray(errors[1] < BETTER_TURNED * errors[0])
+
+
 def _names(free: Free) -> set[str]:
     return {name.partition(".")[2] for name in free.names}
 
 
 def _join(now: Started, observations: BoardObservations, block: Block, camera: Camera) -> Started:
-    placed = np.isfinite(now.T_sensor_board).all((1, 2))
-    if not (placed & block.seen.any(1)).any():
+    known = placed(now.T_sensor_board)
+    if not (known & block.views).any():
         raise InputError(
             f"boards of {words(block.device)}",
             f"found no view that {words(block.device)} and {' or '.join(map(words, now.devices))} both see",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 
@@ -13,7 +15,7 @@ from planish.sensing.calibrate.adjust.problem import Block, Mask
 #: Focal lengths tried, as shares of the image's longer side, and how many.
 FOCAL_RANGE, FOCAL_STEPS = (0.3, 20.0), 90
 #: Heights of the principal point tried for projectors (shares of the image's height): they look upwards or downwards.
-PROJECTOR_HEIGHTS = np.linspace(-0.5, 1.5, 9)
+PROJECTOR_HEIGHTS = np.linspace(-1.0, 2.0, 13)
 #: Relation of the pixels' sides tried for projectors: mirrors on a diamond grid have half the columns or rows.
 PROJECTOR_ASPECTS = (1.0, 2.0, 0.5)
 #: By so much the homographies of a lens with distortion contradict a pinhole.
@@ -33,7 +35,7 @@ def start_camera(block: Block, points_board: Array, size_px: tuple[int, int]) ->
     """
     H = homographies(block, points_board)
     heights, aspects = (PROJECTOR_HEIGHTS, PROJECTOR_ASPECTS) if block.device == PROJECTOR else ((0.5,), (1.0,))
-    best = (np.inf, max(size_px), 1.0, 0.5)
+    best: tuple[float, float, float, float] = (np.inf, float(max(size_px)), 1.0, 0.5)
     for aspect in aspects:
         for height in heights:
             for focal in np.geomspace(*FOCAL_RANGE, FOCAL_STEPS) * max(size_px):
@@ -42,7 +44,7 @@ def start_camera(block: Block, points_board: Array, size_px: tuple[int, int]) ->
                 n[:, 1] = (H[:, 1] - ((size_px[1] * height) - 0.5) * H[:, 2]) / (focal * aspect)
                 best = min(best, (_contradiction(n), focal, aspect, height))
     _, focal, aspect, height = best
-    K = [[focal, 0, (size_px[0] - 1) / 2], [0, focal * aspect, size_px[1] * height - 0.5], [0, 0, 1]]
+    K = np.array([[focal, 0, (size_px[0] - 1) / 2], [0, focal * aspect, size_px[1] * height - 0.5], [0, 0, 1.0]])
     return Camera.make(K, (), size_px, np.eye(4), block.device)
 
 
@@ -56,7 +58,7 @@ def _contradiction(n: Array) -> float:
 def homographies(block: Block, points_board: Array) -> Array:
     """Return the homographies (R, 3, 3) from the board's plane to pixels of the views that the device sees."""
     found = []
-    for v in np.flatnonzero(block.seen.any(1)):
+    for v in np.flatnonzero(block.views):
         seen = np.flatnonzero(block.seen[v])
         flat, pixel = points_board[seen, :2], block.observed_px[v, seen]
         H = _homography(flat, pixel)
@@ -85,9 +87,25 @@ def place_boards(block: Block, points_board: Array, camera: Camera, views: Mask)
     A plane seen from afar has two places that differ little in the image; the one of the smaller error is taken.
     """
     places = np.full((len(block.sigma_px), 4, 4), np.nan)
-    for v in np.flatnonzero(views & block.seen.any(1)):
-        places[v] = _place(block, points_board, camera, v)
+    for v in np.flatnonzero(views & block.views):
+        places[v] = _place(block, points_board, camera, int(v))
     return places
+
+
+def upside_down(block: Block, camera: Camera) -> Block:
+    """Return the block as if its images were turned by 180 degrees."""
+    return replace(block, observed_px=np.array(camera.size_px) - 1.0 - block.observed_px)
+
+
+def place_errors(block: Block, points_board: Array, camera: Camera, T_device_board: Array) -> Array:
+    """Return the median error [px] of each view (V,) with the board at these places; NaN where there is none."""
+    own = Camera(camera.K, camera.distortion, camera.size_px, np.eye(4))
+    points = points_board @ T_device_board[:, :3, :3].swapaxes(1, 2) + T_device_board[:, None, :3, 3]
+    away = np.where(block.seen, np.linalg.norm(own.project(points) - block.observed_px, axis=-1), np.nan)
+    errors = np.full(len(away), np.nan)
+    known = np.isfinite(away).any(1)
+    errors[known] = np.nanmedian(away[known], axis=1)
+    return errors
 
 
 def _place(block: Block, points_board: Array, camera: Camera, view: int) -> Array:

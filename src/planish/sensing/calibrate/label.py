@@ -1,0 +1,111 @@
+"""Which point of the board is which: boards that look the same after a turn, and orders that run the wrong way."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from itertools import product
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.geometry import Array
+from planish.sensing.calibrate.grid import apply_homography, fit_homography, homography_jacobian
+from planish.sensing.calibrate.observations import BoardPoints, CodedPoints, Index
+from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, board_points
+
+#: Turned by 90 degrees, points coincide to this share of the pitch.
+SAME_PLACE = 1e-3
+
+Points = TypeVar("Points", BoardPoints, CodedPoints)
+
+
+def turns(board: Board) -> tuple[Index, ...]:
+    """Return the turns of the board about its middle after which it looks the same, as permutations of its points.
+
+    `turns(board)[k][i]` is the point whose place point i takes. The first is no turn at all; pitches along x and y that
+    differ do not make a board look different enough to rely on.
+    """
+    count = len(board_points(board))
+    if isinstance(board, Charuco):
+        return (np.arange(count),)
+    grid = board_points(board)[:, :2] / board.pitches_mm
+    middle = grid - grid.mean(0)
+    found = []
+    for quarter in range(4):
+        cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
+        turned = middle @ np.array([[cos, sin], [-sin, cos]])
+        distance = np.linalg.norm(turned[:, None] - middle[None], axis=2)
+        to = distance.argmin(1)
+        if distance.min(1).max() > SAME_PLACE or not _same_colours(board, to, quarter):
+            continue
+        found.append(to)
+    return tuple(found)
+
+
+def flipped_index(board: Board) -> Index | None:
+    """Return the permutation of the board's points by a turn of 180 degrees, or None where it changes its looks."""
+    half = np.arange(len(board_points(board)))[::-1]
+    return next((turn for turn in turns(board) if np.array_equal(turn, half)), None)
+
+
+def _same_colours(board: Board, turned: Index, quarter: int) -> bool:
+    if not isinstance(board, Chessboard):
+        return True
+    # The square to the right of a crossing and below it is dark where column + row is even. A turn by 90 degrees brings
+    # it to the side, where it is of the other colour.
+    columns = board.grid[0]
+    number = np.arange(len(turned))
+    before, after = ((index % columns + index // columns) % 2 for index in (number, turned))
+    same = before == after
+    return bool(same.all() if quarter % 2 == 0 else not same.any())
+
+
+def order_of_points(board: Board, pixels: Array) -> Index | None:
+    """Return which point of the board each of the pixels (N, 2) is, as found row by row from some corner of the grid.
+
+    The board is seen from its front: where columns and rows run so that it would be seen from behind, the order is
+    mirrored. Of the orders that remain the one with its columns most to the right in the image is taken. None where no
+    order fits.
+    """
+    columns, rows = board.grid
+    place = np.arange(columns * rows).reshape(rows, columns)
+    orders = [place[::a, ::b] for a, b in product((1, -1), (1, -1))]
+    if columns == rows:
+        orders += [order.T for order in orders]
+    if isinstance(board, AsymmetricCircles) and rows % 2 == 0:
+        # OpenCV may take a grid that starts with the row that stands out, and exchange each two rows.
+        orders += [order[np.arange(rows) ^ 1] for order in orders]
+    points = board_points(board)[:, :2]
+    best: tuple[float, Index] | None = None
+    for order in orders:
+        index = order.ravel()
+        H = fit_homography(points[index], pixels)
+        if H is None:
+            continue
+        middle = points.mean(0)
+        J = homography_jacobian(H, middle[None])[0]
+        error = np.median(np.linalg.norm(apply_homography(H, points[index]) - pixels, axis=1))
+        if np.linalg.det(J) <= 0 or error > 0.3 * np.sqrt(abs(np.linalg.det(J)) * np.prod(board.pitches_mm)):
+            continue
+        to_right = J[0, 0] / np.hypot(*J[:, 0])
+        if best is None or to_right > best[0]:
+            best = (to_right, index)
+    return None if best is None else best[1]
+
+
+def matches_colours(board: Board, index: Index, dark: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which crossings (n,) have the colours that the board's print gives them; circles have none."""
+    if not isinstance(board, (Chessboard, Charuco)):
+        return np.ones(len(index), bool)
+    columns, rows = board.grid
+    first_dark = not (isinstance(board, Charuco) and board.legacy and (rows + 1) % 2 == 0)
+    return np.asarray(((index % columns + index // columns) % 2 == 0) == (dark == first_dark))
+
+
+def renamed(points: Points, turn: Index) -> Points:
+    """Return the points after a turn of the board (see `turns`), in the order of their new index."""
+    index = turn[points.index]
+    order = np.argsort(index)
+    arrays = {f.name: getattr(points, f.name)[order] for f in fields(points) if f.name not in ("index", "camera")}
+    return replace(points, index=index[order], **arrays)
