@@ -14,7 +14,7 @@ from planish.sensing.calibrate.adjust.problem import Free, Linear, Problem, Stat
 #: First damping, its factor after a step that failed or succeeded, and where to give up.
 DAMPING, WORSE, BETTER, MOST_DAMPING = 1e-4, 10.0, 0.1, 1e8
 #: A step is the last one when it lowers the cost by less than this share and less than SMALL_DROP in itself.
-SMALL_SHARE, SMALL_DROP = 1e-9, 1e-5
+SMALL_SHARE, SMALL_DROP = 1e-9, 1e-4
 #: Steps are few near the solution; more are wanted by bad starts only.
 MAX_STEPS = 60
 
