@@ -203,7 +203,7 @@ def _of_right_colour(fine: Refined, board: Board, count: int) -> Refined | None:
 
 
 def _kept(fine: Refined, keep: Mask) -> Refined:
-    arrays = {f.name: getattr(fine, f.name)[keep] for f in fields(fine) if f.name != "limit"}
+    arrays = {f.name: getattr(fine, f.name)[keep] for f in fields(fine) if f.name not in ("limit", "radius")}
     return replace(fine, **arrays)
 
 
