@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from drawn_boards import disc_centers, draw, looking_down, placed
-from planish.sensing.calibrate.detect import detect_board
-from planish.sensing.calibrate.label import flipped_index, turns
+from planish.sensing.calibrate.boards.detect import detect_board
+from planish.sensing.calibrate.boards.label import flipped_index, turns
 from planish.sensing.calibrate.observations import BoardPoints
 from planish.sensing.capture.board import board_points, parse_board
 

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.geometry import Array
-from planish.sensing.calibrate.figure_windows import crossing_windows, disc_windows, per_length
-from planish.sensing.calibrate.figures import crossing, disc
-from planish.sensing.calibrate.grid import grid_shape
+from planish.sensing.calibrate.boards.figure_windows import crossing_windows, disc_windows, per_length
+from planish.sensing.calibrate.boards.figures import crossing, disc
+from planish.sensing.calibrate.boards.grid import grid_shape
+from planish.sensing.calibrate.boards.window_fit import FigureFit, fit_figures
 from planish.sensing.calibrate.observations import Index
-from planish.sensing.calibrate.window_fit import FigureFit, fit_figures
 from planish.sensing.capture.board import AsymmetricCircles, Board, Circles, board_points
 
 #: A figure found further from its rough place than this share of the pitch is another one.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.geometry import Array
-from planish.sensing.calibrate.window_fit import Windows, cut_windows
+from planish.sensing.calibrate.boards.window_fit import Windows, cut_windows
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco
 
 #: A crossing's window reaches so many pixels at most, and this share of the way to the next edge.

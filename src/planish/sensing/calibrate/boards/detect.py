@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from planish.errors import InputError
 from planish.geometry import Array
-from planish.sensing.calibrate.grid import NEIGHBOURS, polynomial
-from planish.sensing.calibrate.label import matches_colours, order_of_points, turns
+from planish.sensing.calibrate.boards.grid import NEIGHBOURS, polynomial
+from planish.sensing.calibrate.boards.label import matches_colours, order_of_points, turns
+from planish.sensing.calibrate.boards.refine import Refined, refine_points, sides_that_go_on
 from planish.sensing.calibrate.observations import BoardPoints, Index
-from planish.sensing.calibrate.refine import Refined, refine_points, sides_that_go_on
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, Circles, board_points
 
 Image = NDArray[np.uint8]
