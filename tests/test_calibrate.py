@@ -10,7 +10,8 @@ from calibrated import AB, NOISE_PX, altered, errors, finding, made, nees, seen,
 from planish.options import thread_count
 from planish.rig.parameters import EXTERNAL
 from planish.sensing.calibrate.adjust.equations import equations, solve
-from planish.sensing.calibrate.adjust.problem import Free, State, linearise, moved, problem_of
+from planish.sensing.calibrate.adjust.linear import linearise, moved
+from planish.sensing.calibrate.adjust.problem import Free, State, problem_of
 from planish.sensing.calibrate.calibrate import CalibrateOptions, calibrate
 from planish.sensing.calibrate.observations import BoardPoints
 from planish.sensing.capture.board import board_points

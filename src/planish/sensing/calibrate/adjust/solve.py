@@ -9,7 +9,8 @@ import numpy as np
 
 from planish.geometry import Array
 from planish.sensing.calibrate.adjust.equations import Equations, equations, solve
-from planish.sensing.calibrate.adjust.problem import Free, Linear, Problem, State, linearise, moved
+from planish.sensing.calibrate.adjust.linear import Linear, linearise, moved
+from planish.sensing.calibrate.adjust.problem import Free, Problem, State
 
 #: First damping, its factor after a step that failed or succeeded, and where to give up.
 DAMPING, WORSE, BETTER, MOST_DAMPING = 1e-4, 10.0, 0.1, 1e8
