@@ -25,11 +25,11 @@ def made(stated=None, **changes):
 
 
 @lru_cache
-def places(views=20, devices=AB, seed=0):
+def places(views=12, devices=AB, seed=0):
     return board_places(reference_rig(), made(), views, seed, devices=devices, seen_share=0.8)
 
 
-def seen(views=20, devices=AB, board=None, seed=0, rig=None, noise_px=NOISE_PX):
+def seen(views=12, devices=AB, board=None, seed=0, rig=None, noise_px=NOISE_PX):
     rig = reference_rig() if rig is None else rig
     return observations(rig, made() if board is None else board, places(views, devices), noise_px, seed, devices)
 

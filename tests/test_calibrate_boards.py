@@ -28,7 +28,7 @@ SIGMAS = 4.0
 
 
 def test_a_pitch_ratio_is_reported_and_not_absorbed():
-    found = calibrate(seen(board=made(scale=(1.0005, 0.9995))))
+    found = calibrate(seen(views=20, board=made(scale=(1.0005, 0.9995))))
     ratio = finding(found, "pitch ratio x / y of the board")
     assert ratio.value == pytest.approx(1.0005 / 0.9995, abs=SIGMAS * ratio.sigma)
     assert ratio.sigma < 1e-4
@@ -37,7 +37,7 @@ def test_a_pitch_ratio_is_reported_and_not_absorbed():
 
 
 def test_a_bent_board_is_reported_and_on_request_taken_as_it_is():
-    item = seen(board=made(sagitta_mm=1.0))
+    item = seen(views=20, board=made(sagitta_mm=1.0))
     found = calibrate(item)
     bending = finding(found, "bending of the board")
     assert bending.value == pytest.approx(1.0, abs=SIGMAS * bending.sigma)
@@ -170,6 +170,17 @@ def test_single_outliers_are_found_and_named():
     for r in found.residuals:
         np.testing.assert_array_equal(r.outlier & wrong[r.view, r.device], wrong[r.view, r.device])
     assert sum(int((r.outlier & ~wrong[r.view, r.device]).sum()) for r in found.residuals) <= 2
+    assert nees(found) < LARGEST_NEES
+
+
+def test_an_image_of_a_single_row_of_the_board_is_named_and_not_used():
+    item = seen()
+    for view, keep in ((2, slice(0, 11)), (3, slice(0, 7))):
+        item = altered(item, view, "B", lambda p, k=keep: replace(
+            p, index=p.index[k], pixel_px=p.pixel_px[k], sigma_px=p.sigma_px[k]))  # fmt: skip
+    found = calibrate(item)
+    told = [text[:50] for text in warnings(found)]
+    assert told == [f"view {n}: image B/{n}.png shows {k} points of the board"[:50] for n, k in (("03", 11), ("04", 7))]
     assert nees(found) < LARGEST_NEES
 
 

@@ -24,6 +24,7 @@ from planish.sensing.calibrate.adjust.stages import (
     join_projector,
     start_device,
 )
+from planish.sensing.calibrate.adjust.usable import only_usable
 from planish.sensing.calibrate.observations import BoardObservations
 from planish.sensing.calibrate.result import Calibration
 
@@ -80,7 +81,7 @@ def calibrate(
     if REFERENCE not in observations.size_px:
         raise InputError("cameras", f"found {', '.join(observations.devices) or 'none'}", "camera A among them")
     share = options.outlier_probability
-    problem = problem_of(observations)
+    problem, unused = only_usable(problem_of(observations), observations)
     require_views(problem, observations.devices)
     if options.flatness:
         problem = with_heights(problem)
@@ -102,6 +103,6 @@ def calibrate(
     item = adjust_chosen(now, share)
     require_views(item.problem, item.problem.devices)
     models = {device: chosen.told for device, chosen in now.models.items()}
-    result = conclude(observations, item, models, now.findings, options.model_dump())
+    result = conclude(observations, item, models, unused + now.findings, options.model_dump())
     say(STAGES[3], 4, len(STAGES))
     return result

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from planish.geometry import Array
-from planish.sensing.calibrate.adjust.problem import PLACE, Free, Linear, Problem, State
+from planish.sensing.calibrate.adjust.linear import PLACE, Linear
+from planish.sensing.calibrate.adjust.problem import Free, Problem, State
 
 #: Share of the largest eigenvalue (of the equations scaled to unit diagonal) below which a direction is undetermined.
 RANK_SHARE = 1e-13

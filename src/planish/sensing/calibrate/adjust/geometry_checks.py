@@ -10,7 +10,7 @@ from planish.measurement import Finding
 from planish.rig.parameters import PROJECTOR
 from planish.sensing.calibrate.adjust.lens_models import FEW_VIEWS
 from planish.sensing.calibrate.adjust.problem import Problem
-from planish.sensing.calibrate.adjust.robust import LEAST_POINTS, Adjusted
+from planish.sensing.calibrate.adjust.robust import Adjusted
 
 #: Two views determine a focal length without saying how well; three do.
 LEAST_VIEWS = 3
@@ -35,8 +35,7 @@ def require_views(problem: Problem, devices: tuple[str, ...]) -> None:
         Naming the device and the number of its views.
     """
     for device in devices:
-        counts = np.sum([block.seen.sum(1) for block in problem.blocks_of(device)], axis=0)
-        count = int((counts >= LEAST_POINTS).sum()) if problem.blocks_of(device) else 0
+        count = int(problem.seen_by(device).sum()) if problem.blocks_of(device) else 0
         if count < LEAST_VIEWS:
             raise InputError(
                 f"boards of {words(device)}", f"found {count} usable {'view' if count == 1 else 'views'}",

@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2
 from scipy.stats import t as student
 
 from planish.geometry import Array
 from planish.rig import Camera
 from planish.rig.parameters import DISTORTION, EXTERNAL_PART, INTRINSICS
-from planish.sensing.calibrate.adjust.left_out import leave_out
+from planish.sensing.calibrate.adjust.left_out import covariance_factor, leave_out
 from planish.sensing.calibrate.adjust.lens_models import Model, held_pseudo, ladder
 from planish.sensing.calibrate.adjust.problem import Free, Problem, State
 from planish.sensing.calibrate.adjust.robust import Adjusted
@@ -19,9 +20,11 @@ from planish.sensing.calibrate.adjust.solve import fixed, least_squares
 from planish.sensing.calibrate.result import LensModel
 
 #: The ladder is left after this many models that are no better than one before them.
-PATIENCE = 3
+PATIENCE = 2
 #: Probability below one standard error of a normal distribution: with few views, Student's is wider.
 ONE_SIGMA = 0.8413
+#: Probability with which chance gives coefficients that count as needed.
+SIGNIFICANT = 0.01
 #: Pixels at which a model must be one to one: columns and rows over the image.
 GRID = (15, 11)
 #: Equations (scaled to unit diagonal) worse conditioned than this say nothing about some parameter.
@@ -52,25 +55,30 @@ def choose_model(item: Adjusted, device: str, forced: str | None) -> Chosen:
     -----
     Each model is adjusted to all views but one, for each view in turn, and judged by the view left out. The simplest
     model counts whose mean square there is within one standard error of the best (Breiman et al., Classification and
-    Regression Trees, 1984, section 3.4.3); the error is that of the differences between the two, view by view.
+    Regression Trees, 1984, section 3.4.3); the error is that of the differences between the two, view by view. What it
+    leaves out must not be significant in the best, else the covariance would claim too much.
     """
     views = int(item.problem.seen_by(device).sum())
     steps = ladder(views)
     if forced is not None:
         steps = tuple(step for step in steps if step.name == forced) or (Model(forced),)
-    scores: dict[Model, Array] = {}
+    tried: dict[Model, _Tried] = {}
     for step in steps:
-        if (score := _score(item, device, step)) is not None:
-            scores[step] = score
-        best = min(scores, key=lambda model: scores[model].mean(), default=None)
+        if (found := _try(item, device, step)) is not None:
+            tried[step] = found
+        best = min(tried, key=lambda model: tried[model].mean_square, default=None)
         if best is not None and steps.index(step) - steps.index(best) >= PATIENCE:
             break
-    if not scores:
+    if not tried:
         told = f"{steps[0].words}: no model is determined by these views"
         return Chosen(steps[0], LensModel(steps[0].label, steps[0].coefficients, {}, told))
-    best = min(scores, key=lambda model: scores[model].mean())
-    chosen = next(model for model in scores if _within(scores[model], scores[best]))
-    return Chosen(chosen, _told(chosen, best, scores, forced))
+    best = min(tried, key=lambda model: tried[model].mean_square)
+    chosen = next(
+        model
+        for model in tried
+        if _within(tried[model].score, tried[best].score) and not tried[best].needs(device, best, model)
+    )
+    return Chosen(chosen, _told(chosen, best, tried, forced))
 
 
 def with_model(item: Problem, state: State, device: str, model: Model) -> Problem:
@@ -108,8 +116,32 @@ def one_to_one(camera: Camera) -> bool:
     return bool((J[0] * J[3] - J[1] * J[2] > 0).all())
 
 
-def _score(item: Adjusted, device: str, model: Model) -> Array | None:
-    """Mean squares [px^2] of the left-out views in the device; None where the model is not determined."""
+@dataclass(frozen=True)
+class _Tried:
+    """An adjustment with one of the models, and mean squares [px^2] of the left-out views (n,) in the device."""
+
+    item: Adjusted
+    score: Array
+
+    @property
+    def mean_square(self) -> float:
+        return float(self.score.mean())
+
+    def needs(self, device: str, own: Model, other: Model) -> bool:
+        """Whether coefficients of this model that the other one lacks are significantly not zero (Wald's test)."""
+        beyond = [name for name in own.coefficients if name not in other.coefficients]
+        if not beyond:
+            return False
+        names = self.item.free.names
+        at = [names.index(f"{device}.{name}") for name in beyond]
+        value = self.item.state.devices[device].distortion[[DISTORTION.index(name) for name in beyond]]
+        covariance = self.item.covariance()[np.ix_(at, at)] * max(1.0, covariance_factor(self.item.solution)[0])
+        chi = float(value @ np.linalg.solve(covariance, value))
+        return bool(chi2.sf(chi, len(beyond)) < SIGNIFICANT)
+
+
+def _try(item: Adjusted, device: str, model: Model) -> _Tried | None:
+    """The adjustment with a model of the device; None where the model is not determined."""
     problem = with_model(item.problem, item.state, device, model)
     free = free_with(item.free, device, model)
     solution = least_squares(problem, start_with(item.state, device, model), free, fixed(item.solution.weights))
@@ -118,8 +150,8 @@ def _score(item: Adjusted, device: str, model: Model) -> Array | None:
     values = np.linalg.eigvalsh(S * scale[:, None] * scale)
     if values[0] * WORST_CONDITION < values[-1] or not one_to_one(solution.state.devices[device]):
         return None
-    tried = replace(item, problem=problem, free=free, solution=solution)
-    return leave_out(tried).mean_square(device)
+    changed = replace(item, problem=problem, free=free, solution=solution)
+    return _Tried(changed, leave_out(changed).mean_square(device))
 
 
 def _within(score: Array, best: Array) -> bool:
@@ -130,13 +162,13 @@ def _within(score: Array, best: Array) -> bool:
     return bool(worse.mean() <= errors * worse.std(ddof=1) / np.sqrt(len(worse)))
 
 
-def _told(chosen: Model, best: Model, scores: Mapping[Model, Array], forced: str | None) -> LensModel:
-    rms = {model.label: float(np.sqrt(score.mean())) for model, score in scores.items()}
-    own = f"{chosen.words}: boards left out of the adjustment fit within {rms[chosen.label]:.3f} px (rms)"
+def _told(chosen: Model, best: Model, tried: Mapping[Model, _Tried], forced: str | None) -> LensModel:
+    rms = {model.label: float(np.sqrt(found.mean_square)) for model, found in tried.items()}
+    own = f"{chosen.words}: boards left out of the adjustment fit within {rms[chosen.label]:.4f} px (rms)"
     if forced is not None:
         why = "; the model was prescribed"
     elif chosen == best:
-        why = f", the best of {len(scores)} models tried"
+        why = f", the best of {len(tried)} models tried"
     else:
-        why = f"; {best.words} gives {rms[best.label]:.3f} px, which is no better beyond one standard error"
+        why = f"; {best.words} gives {rms[best.label]:.4f} px, which is no better beyond one standard error"
     return LensModel(chosen.label, chosen.coefficients, rms, own + why)

@@ -9,7 +9,8 @@ import numpy as np
 
 from planish.geometry import Array
 from planish.sensing.calibrate.adjust.equations import equations, inverse_places, pseudo_inverse
-from planish.sensing.calibrate.adjust.problem import Block, Free, Linear, Mask, Problem, State
+from planish.sensing.calibrate.adjust.linear import Linear, linearise
+from planish.sensing.calibrate.adjust.problem import Block, Free, Mask, Problem, State
 from planish.sensing.calibrate.adjust.solve import Solution, Weights, fixed, least_squares
 
 #: Cauchy's constant for the length of a residual in standard deviations of one coordinate (95 % efficiency: 2.4 to 3).
@@ -21,7 +22,7 @@ LEAST_NOISE_PX = 1e-4
 #: An image with a larger share of outliers is no image of this board at this place.
 BAD_SHARE = 0.4
 #: Fewer points do not hold a place of the board and tell of the lens as well.
-LEAST_POINTS = 6
+LEAST_KEPT = 6
 #: Rounds of outlier search and noise estimate; a change of noise below SETTLED ends them.
 ROUNDS, SETTLED = 8, 0.002
 
@@ -86,17 +87,12 @@ def adjust_robustly(problem: Problem, state: State, free: Free, share: float = 0
     share : float
         Probability that a set of observations without outliers loses any.
     """
-    first = least_squares(problem, state, free, _cauchy(problem, free))
+    first = least_squares(problem, state, free, _cauchy(problem))
     noise = _robust_noise(problem, first.lines)
     dropped = _bad_images(problem, first.lines, noise, share)
     for block, view in dropped:
         problem = _without(problem, block, view)
     return _final(problem, first.state, free, noise, share, dropped)
-
-
-def adjust_again(item: Adjusted, problem: Problem, free: Free, state: State) -> Solution:
-    """Return the least squares with the weights and outliers of another adjustment."""
-    return least_squares(problem, state, free, fixed(_weights(problem, item.noise, item.outlier)))
 
 
 def _final(
@@ -110,7 +106,7 @@ def _final(
     """Least squares on what is no outlier, in turns with the search for outliers and the estimate of the noise."""
     points = sum(int(block.seen.sum()) for block in problem.blocks)
     limit = outlier_limit(points, share)
-    lines = least_squares(problem, state, free, _cauchy(problem, free), steps=0).lines
+    lines = [linearise(problem, state, free, block) for block in problem.blocks]
     outlier = _outliers(problem, lines, noise, limit)
     for _ in range(ROUNDS):
         solution = least_squares(problem, state, free, fixed(_weights(problem, noise, outlier)))
@@ -164,7 +160,7 @@ def _weights(problem: Problem, noise: Mapping[str, float], outlier: Sequence[Mas
     ]
 
 
-def _cauchy(problem: Problem, free: Free) -> Weights:
+def _cauchy(problem: Problem) -> Weights:
     def weigh(lines: Sequence[Linear]) -> list[Array]:
         noise = _robust_noise(problem, lines)
         weights = []
@@ -197,7 +193,7 @@ def _outliers(problem: Problem, lines: Sequence[Linear], noise: Mapping[str, flo
         with np.errstate(invalid="ignore"):
             found = lengths(block, line) > limit * noise[block.device]
         # Where few points are left, none of them is worth anything.
-        few = (block.seen & ~found).sum(1) < LEAST_POINTS
+        few = (block.seen & ~found).sum(1) < LEAST_KEPT
         out.append(block.seen & (found | few[:, None]))
     return out
 

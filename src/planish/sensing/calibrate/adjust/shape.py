@@ -10,7 +10,8 @@ from scipy.stats import chi2
 from planish.geometry import Array
 from planish.measurement import Finding
 from planish.sensing.calibrate.adjust.equations import equations, pseudo_inverse
-from planish.sensing.calibrate.adjust.problem import Free, Problem, State, linearise
+from planish.sensing.calibrate.adjust.linear import linearise
+from planish.sensing.calibrate.adjust.problem import Free, Problem, State
 from planish.sensing.calibrate.adjust.robust import Adjusted
 from planish.sensing.capture.board import Board
 

@@ -9,12 +9,13 @@ import numpy as np
 
 from planish.geometry import Array
 from planish.sensing.calibrate.adjust.equations import Equations, equations, solve
-from planish.sensing.calibrate.adjust.problem import Free, Linear, Problem, State, linearise, moved
+from planish.sensing.calibrate.adjust.linear import Linear, linearise, moved
+from planish.sensing.calibrate.adjust.problem import Free, Problem, State
 
 #: First damping, its factor after a step that failed or succeeded, and where to give up.
 DAMPING, WORSE, BETTER, MOST_DAMPING = 1e-4, 10.0, 0.1, 1e8
 #: A step is the last one when it lowers the cost by less than this share and less than SMALL_DROP in itself.
-SMALL_SHARE, SMALL_DROP = 1e-9, 1e-5
+SMALL_SHARE, SMALL_DROP = 1e-9, 1e-4
 #: Steps are few near the solution; more are wanted by bad starts only.
 MAX_STEPS = 60
 
