@@ -137,12 +137,15 @@ def captures(seeds: Sequence[int], folder: Path) -> Iterator[tuple[Scene, int, P
             yield from ((scene, index, path) for index, path in enumerate(paths))
 
 
-def changed_rigs(rig: Rig) -> Iterator[tuple[str, Rig]]:
+def changed_rigs(rig: Rig, rng: np.random.Generator) -> Iterator[tuple[str, Rig]]:
     """Yield rigs with another relative orientation."""
     basis = orientation_basis(rig, "B", "A")
     for k, name in enumerate(CHANGES):
         for angle in ANGLES_DEG:
             yield f"{name}, {angle} deg", reoriented(rig, "B", "A", basis[:, k] * np.deg2rad(angle))
+    for angle in ANGLES_DEG[1:]:
+        drawn_rad = np.deg2rad(angle) * rng.standard_normal(len(CHANGES))
+        yield f"all five drawn, {angle} deg", reoriented(rig, "B", "A", basis @ drawn_rad)
 
 
 def run(seeds: Sequence[int]) -> list[dict[str, float | int | str | None]]:
@@ -161,7 +164,7 @@ def run(seeds: Sequence[int]) -> list[dict[str, float | int | str | None]]:
                 noted(
                     tallies.setdefault("drawn from the covariance it states", Tally()), check_calibration({"m": item})
                 )
-            for case, rig in changed_rigs(true) if index == 0 else ():
+            for case, rig in changed_rigs(true, rng) if index == 0 else ():
                 tally = tallies.setdefault(case, Tally())
                 item = measured(folder, rig)
                 checked = check_calibration({"m": item}, adjust=True)

@@ -81,7 +81,18 @@ def _charuco(board: Charuco, x, y):
 
 
 def draw(
-    board, camera, T_camera_board, *, blur_px=0.7, noise=0.0, seed=0, bits=8, supersampling=8, light=False, lit=None
+    board,
+    camera,
+    T_camera_board,
+    *,
+    blur_px=0.7,
+    noise=0.0,
+    seed=0,
+    bits=8,
+    supersampling=8,
+    light=False,
+    lit=None,
+    paper_mm=None,
 ):
     """The image (H, W), uint8, uint16 or (bits = 0) float, and the true pixels (N, 2) of the board's points.
 
@@ -95,6 +106,8 @@ def draw(
         Light figures on dark ground.
     lit : callable or None
         Light, 0 ... 1, at points (x, y) [mm] of the board: what a projector shows there. Default: everywhere 1.
+    paper_mm : float or None
+        The board ends so far beyond its outermost points; behind it, it is dark.
     """
     width, height = camera.size_px
     fine = (
@@ -108,6 +121,10 @@ def draw(
     shown = reflectance(board, x, y, sample_mm)
     if light:
         shown = 1 - shown
+    if paper_mm is not None:
+        last = board_points(board).max(0)
+        beyond = np.maximum(np.abs(x - last[0] / 2) - last[0] / 2, np.abs(y - last[1] / 2) - last[1] / 2)
+        shown[beyond > paper_mm] = 0
     shown = INK / PAPER + (1 - INK / PAPER) * shown
     if lit is not None:
         shown = shown * lit(x, y)

@@ -7,11 +7,11 @@ import pytest
 
 import drawn_calibration
 from planish.geometry import compose, exp_so3
-from planish.sensing.calibrate.advice import advice, bad_views, tilt_advice
-from planish.sensing.calibrate.coverage import CELLS, coverage
-from planish.sensing.calibrate.expected_error import expected_errors
-from planish.sensing.calibrate.point_sigmas import point_sigmas
-from planish.sensing.calibrate.views import depths_mm, placements
+from planish.sensing.calibrate.judge.advice import advice, bad_views, tilt_advice
+from planish.sensing.calibrate.judge.coverage import CELLS, coverage
+from planish.sensing.calibrate.judge.expected_error import expected_errors
+from planish.sensing.calibrate.judge.point_sigmas import point_sigmas
+from planish.sensing.calibrate.judge.views import depths_mm, placements
 
 
 def said(item, *words):

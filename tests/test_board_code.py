@@ -8,8 +8,8 @@ import pytest
 
 from drawn_boards import draw, looking_down, placed
 from planish.errors import InputError
-from planish.sensing.calibrate.label import turns
-from planish.sensing.calibrate.observe import observe_boards
+from planish.sensing.calibrate.boards.label import turns
+from planish.sensing.calibrate.boards.observe import observe_boards
 from planish.sensing.capture.board import board_points, parse_board
 from planish.sensing.patterns.encode import axis_of, encode
 from planish.sensing.patterns.sequences import gray_sequence, multi_frequency_sequence, phase_shift_sequence

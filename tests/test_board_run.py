@@ -8,11 +8,11 @@ import pytest
 
 from drawn_boards import draw, looking_down, placed
 from planish.errors import InputError
-from planish.sensing.calibrate.agree import agree
-from planish.sensing.calibrate.label import renamed, turns
-from planish.sensing.calibrate.manifest import load_run
+from planish.sensing.calibrate.boards.agree import agree
+from planish.sensing.calibrate.boards.label import renamed, turns
+from planish.sensing.calibrate.boards.manifest import load_run
+from planish.sensing.calibrate.boards.observe import observe_boards
 from planish.sensing.calibrate.observations import BoardPoints
-from planish.sensing.calibrate.observe import observe_boards
 from planish.sensing.capture.board import board_points, parse_board
 
 BOARD = {"schema": "planish.board/1", "kind": "chessboard", "corners": [5, 3], "pitch_mm": 10}

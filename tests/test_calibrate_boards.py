@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibrated import AB, altered, finding, made, nees, seen, warnings
+from calibrated import AB, STATED, altered, finding, made, nees, seen, warnings
 from planish.errors import InputError
 from planish.geometry import exp_so3, transform_points
 from planish.sensing.calibrate.adjust.discs import disc_shift
@@ -251,3 +251,43 @@ def test_the_shift_of_discs_is_corrected_where_their_diameter_is_known():
     assert nees(corrected) < LARGEST_NEES
     # The lens and the places take the shift up: the noise would not tell.
     assert nees(without) > BIASED_NEES
+
+
+#: Sheet that came off its plate at a corner of the board: heights [mm] of points (10, 0), (9, 0), (10, 1).
+LIFTED = {(10, 0): 2.5, (9, 0): 1.0, (10, 1): 1.2}
+#: Where a height is known from 20 views with corners of 0.05 px: 0.33 mm per pixel, 30 degrees of tilt, 40 images.
+HEIGHT_MM = 0.05
+
+
+class LiftedBoard(PrintedBoard):
+    """A board whose sheet stands off at a corner."""
+
+    @property
+    def points_board(self):
+        points = PrintedBoard.points_board.func(self).copy()
+        for (column, row), height in LIFTED.items():
+            points[row * self.board.grid[0] + column, 2] -= height
+        return points
+
+
+def test_a_sheet_that_stands_off_its_plate_is_named_and_on_request_measured():
+    item = seen(board=LiftedBoard(parse_board(STATED, "board")))
+    (warning,) = [text for text in warnings(calibrate(item)) if "points (column, row)" in text]
+    assert "(10, 0)" in warning
+    assert "flatness" in warning
+    found = calibrate(item, CalibrateOptions(flatness=True))
+    assert "each point on its own" in finding(found, "heights of the board's points").source
+    assert not [text for text in warnings(found) if "points (column, row)" in text]
+    points = LiftedBoard(parse_board(STATED, "board")).points_board
+    # Heights are told against the plane through all points.
+    plane = np.column_stack([np.ones(len(points)), points[:, :2]])
+    true = -points[:, 2] + plane @ np.linalg.lstsq(plane, points[:, 2], rcond=None)[0]
+    np.testing.assert_allclose(found.height_mm, true, atol=HEIGHT_MM)
+    assert nees(found) < 2
+
+
+def test_a_flat_board_gets_no_heights_of_its_points_one_by_one():
+    found = calibrate(seen(), CalibrateOptions(flatness=True))
+    told = finding(found, "heights of the board's points")
+    assert told.value < HEIGHT_MM
+    assert finding(found, "points of the board that are outliers in most of their images").value == 0

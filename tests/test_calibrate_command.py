@@ -13,7 +13,7 @@ from command_line import planish
 from planish.cli.calibrate import print_calibration, read_options, write_calibration
 from planish.errors import InputError
 from planish.rig import Rig
-from planish.sensing.calibrate.expected_error import expected_errors
+from planish.sensing.calibrate.judge.expected_error import expected_errors
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from planish.report.calibration.numbers import prose, significant, with_sigma
 from planish.report.calibration.page import write_calibration_report
 from planish.report.calibration.parameters import derived_sigma, place_of
 from planish.report.calibration.text import scale_sentence, verdict
-from planish.sensing.calibrate.expected_error import expected_errors, map_rms
 from planish.sensing.calibrate.files import CalibrationFile
+from planish.sensing.calibrate.judge.expected_error import expected_errors, map_rms
 from planish.sensing.capture.board import KnownLength
 
 #: Far below what goes by mail.

@@ -7,7 +7,7 @@ import drawn_calibration
 from planish.errors import InputError
 from planish.geometry import adjoint, fit_rigid, transform_points
 from planish.rig import Rig
-from planish.sensing.calibrate.expected_error import (
+from planish.sensing.calibrate.judge.expected_error import (
     device_pairs,
     expected_error,
     expected_error_on_plane,

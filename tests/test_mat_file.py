@@ -11,8 +11,8 @@ from scipy.io import loadmat, savemat
 
 from mat_files import OBJECT_REFERENCE, write_v5_object, write_v73
 from planish.errors import InputError
-from planish.rig.mat_file import read_mat_file
-from planish.rig.mat_values import MatlabObject, Unread
+from planish.rig.exchange.mat_file import read_mat_file
+from planish.rig.exchange.mat_values import MatlabObject, Unread
 
 CONTENT = {
     "row": np.arange(5.0)[None],

@@ -8,8 +8,8 @@ from mat_files import write_v5, write_v5_object, write_v73, write_v73_object
 from planish.errors import InputError
 from planish.geometry import compose, exp_se3, exp_so3
 from planish.rig import Camera, Rig
-from planish.rig.matlab import read_matlab_rig
-from planish.rig.matlab_export import write_matlab_rig
+from planish.rig.exchange.matlab import read_matlab_rig
+from planish.rig.exchange.matlab_export import write_matlab_rig
 
 #: Row vectors: [x y 1] = [X Y Z] IntrinsicMatrix.
 INTRINSIC_MATRIX = np.array([[1000.0, 0.0, 0.0], [2.0, 1100.0, 0.0], [321.0, 241.0, 1.0]])

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from planish.errors import InputError
 from planish.geometry import compose, exp_se3, exp_so3, transform_points
 from planish.rig import Camera, Rig
-from planish.rig.opencv import read_opencv_rig, write_opencv_rig
+from planish.rig.exchange.opencv import read_opencv_rig, write_opencv_rig
 
 K_CAMERA = np.array([[3452.4, 0, 587.2], [0, 3449.9, 521.4], [0, 0, 1]])
 K_PROJECTOR = np.array([[3953.7, 0, 737.2], [0, 3893.3, 1357.8], [0, 0, 1]])

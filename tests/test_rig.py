@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from planish import geometry
 from planish.errors import InputError
 from planish.rig import Camera, Rig
-from planish.rig.opencv import read_opencv_rig
+from planish.rig.exchange.opencv import read_opencv_rig
 
 #: OpenCV computes in float64 as we do: only rounding may differ [px].
 OPENCV_TOLERANCE_PX = 1e-8

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from captures import HERE, load
 
+from planish.sensing.calibrate.boards.observe import observe_boards
 from planish.sensing.calibrate.calibrate import CalibrateOptions, calibrate
-from planish.sensing.calibrate.observe import observe_boards
 
 #: The issue's limits, rms of two coordinates [px]: residuals of camera and projector, boards left out.
 CAMERA_PX, PROJECTOR_PX, LEFT_OUT_PX = 0.30, 0.25, 0.5

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from captures import HERE, load
 
-from planish.sensing.calibrate.detect import detect_board
-from planish.sensing.calibrate.observe import observe_boards
+from planish.sensing.calibrate.boards.detect import detect_board
+from planish.sensing.calibrate.boards.observe import observe_boards
 from planish.sensing.capture.board import board_points
 
 #: The map from camera to projector is smooth (a homography and a polynomial of fourth order) but for noise and for what

@@ -11,7 +11,7 @@ import pytest
 
 from planish.geometry import invert, rotation_angle, transform_points
 from planish.pipeline import MeasureOptions, measure, register
-from planish.rig.opencv import read_opencv_rig
+from planish.rig.exchange.opencv import read_opencv_rig
 from planish.sensing.capture.manifest import Capture
 
 IMAGES = Path(__file__).resolve().parents[3] / "shared" / "data" / "steel_corner_shiftline"
@@ -29,7 +29,7 @@ def test_left_against_right_gives_the_calibration():
     right = replace(measure(capture, MeasureOptions(organise_on="B", texture_views=("B",))), name="right")
     pair = register([left, right]).pair("left", "right")
     assert pair.status == "accepted", pair.reason
-    rig = read_opencv_rig([IMAGES / "intrinsic.yml", IMAGES / "extrinsic.yml"], (2048, 1536))
+    rig = read_opencv_rig([IMAGES / "intrinsic.yml", IMAGES / "extrinsic.yml"], (2048, 1536)).rig
     T_true = invert(rig.cameras["B"].T_camera_sensor)
     centre = transform_points(invert(pair.T_a_b), pair.covariance_point_mm)
     assert np.rad2deg(rotation_angle(invert(T_true) @ pair.T_a_b)) <= ROTATION_DEG

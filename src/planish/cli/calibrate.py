@@ -17,9 +17,9 @@ from planish.cli.evaluate import stdout
 from planish.errors import InputError
 from planish.pipeline import CalibrateOptions, versions
 from planish.pipeline import calibrate as calibrate_boards
-from planish.sensing.calibrate.advice import advice, device_title
-from planish.sensing.calibrate.expected_error import ExpectedError, expected_errors
 from planish.sensing.calibrate.files import CalibrationFile
+from planish.sensing.calibrate.judge.advice import advice, device_title
+from planish.sensing.calibrate.judge.expected_error import ExpectedError, expected_errors
 from planish.sensing.calibrate.result import Calibration
 
 #: The lens model that the boards support is chosen by cross-validation.

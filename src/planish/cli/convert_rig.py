@@ -13,7 +13,7 @@ from planish.cli.patterns import parse_size
 from planish.errors import InputError
 from planish.geometry import rotation_angle
 from planish.rig import Camera, Rig, write_rig
-from planish.rig.exchange import device_text
+from planish.rig.exchange.common import device_text
 from planish.rig.files import import_rig
 from planish.rig.parameters import DISTORTION
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from planish.options import thread_count
 from planish.pipeline.registering import Progress
+from planish.sensing.calibrate.boards.observe import observe_boards
 from planish.sensing.calibrate.calibrate import CalibrateOptions
 from planish.sensing.calibrate.calibrate import calibrate as adjust_rig
-from planish.sensing.calibrate.observe import observe_boards
 from planish.sensing.calibrate.result import Calibration
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Literal
 
 from planish.errors import InputError
-from planish.rig.exchange import ImportedRig, Size
-from planish.rig.matlab import read_matlab_rig
-from planish.rig.matlab_export import write_matlab_rig
-from planish.rig.opencv import read_opencv_rig, write_opencv_rig
+from planish.rig.exchange.common import ImportedRig, Size
+from planish.rig.exchange.matlab import read_matlab_rig
+from planish.rig.exchange.matlab_export import write_matlab_rig
+from planish.rig.exchange.opencv import read_opencv_rig, write_opencv_rig
 from planish.rig.rig import Rig
 
 #: What a reader is told where a file is nothing of that.

@@ -13,11 +13,11 @@ from scipy.stats import norm
 from planish.geometry import Array
 from planish.report.calibration.numbers import pixels
 from planish.report.style import DIVERGING, INK, MUTED, NEUTRAL, colour, diverging_map, nice_limit, png
-from planish.sensing.calibrate.advice import bad_views, device_title
-from planish.sensing.calibrate.coverage import Coverage, cell_centres
-from planish.sensing.calibrate.point_sigmas import point_sigmas
+from planish.sensing.calibrate.judge.advice import bad_views, device_title
+from planish.sensing.calibrate.judge.coverage import Coverage, cell_centres
+from planish.sensing.calibrate.judge.point_sigmas import point_sigmas
+from planish.sensing.calibrate.judge.views import depths_mm, placements
 from planish.sensing.calibrate.result import Calibration
-from planish.sensing.calibrate.views import depths_mm, placements
 from planish.sensing.capture.board import board_points
 
 OUTLIER, EMPTY = "#d9480f", "#f3c9c2"

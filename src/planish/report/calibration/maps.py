@@ -14,8 +14,8 @@ from planish.geometry import Array
 from planish.report.calibration.figures import spread
 from planish.report.style import INK, MUTED, NEUTRAL, nice_limit, png
 from planish.rig import Camera
-from planish.sensing.calibrate.advice import device_title
-from planish.sensing.calibrate.expected_error import ExpectedError, pixel_grid
+from planish.sensing.calibrate.judge.advice import device_title
+from planish.sensing.calibrate.judge.expected_error import ExpectedError, pixel_grid
 
 error_map = LinearSegmentedColormap.from_list("expected error", ("#faf7ee", "#f2cf8f", "#dd7f3b", "#8c1d18"))
 distortion_map = LinearSegmentedColormap.from_list("distortion", ("#f7fafc", "#7fa9d8", "#1f4e9c"))

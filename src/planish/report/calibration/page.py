@@ -23,9 +23,9 @@ from planish.report.calibration.sections import (
 )
 from planish.report.html import details, figure, html_page
 from planish.report.style import save_bytes
-from planish.sensing.calibrate.advice import advice, device_title
-from planish.sensing.calibrate.coverage import coverage
-from planish.sensing.calibrate.expected_error import ExpectedError, expected_errors
+from planish.sensing.calibrate.judge.advice import advice, device_title
+from planish.sensing.calibrate.judge.coverage import coverage
+from planish.sensing.calibrate.judge.expected_error import ExpectedError, expected_errors
 from planish.sensing.calibrate.result import Calibration
 
 #: Widths in the page of pictures that are narrower than it: the board's height, one device's panel [px].

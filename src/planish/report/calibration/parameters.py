@@ -12,9 +12,9 @@ from planish.report.calibration.numbers import significant, with_sigma
 from planish.report.html import html_table
 from planish.rig import Camera, Rig
 from planish.rig.parameters import DEVICE_PARAMETERS, DISTORTION, INTRINSICS
-from planish.sensing.calibrate.advice import device_title
+from planish.sensing.calibrate.judge.advice import device_title
+from planish.sensing.calibrate.judge.views import depths_mm
 from planish.sensing.calibrate.result import Calibration
-from planish.sensing.calibrate.views import depths_mm
 
 #: Quantities of the place of one device, in the order of `place_of`, with their units.
 PLACE = (

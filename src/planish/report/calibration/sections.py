@@ -13,11 +13,11 @@ from planish.report.calibration.figures import view_rms
 from planish.report.calibration.numbers import percent, pixel_digits, prose, significant, with_sigma
 from planish.report.html import html_table
 from planish.report.text import count
-from planish.sensing.calibrate.advice import bad_views, device_title
-from planish.sensing.calibrate.expected_error import ExpectedError, map_rms
-from planish.sensing.calibrate.point_sigmas import point_sigmas
+from planish.sensing.calibrate.judge.advice import bad_views, device_title
+from planish.sensing.calibrate.judge.expected_error import ExpectedError, map_rms
+from planish.sensing.calibrate.judge.point_sigmas import point_sigmas
+from planish.sensing.calibrate.judge.views import placements
 from planish.sensing.calibrate.result import Calibration
-from planish.sensing.calibrate.views import placements
 
 #: Outliers listed one by one, the largest first.
 MAX_OUTLIERS = 25

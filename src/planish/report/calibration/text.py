@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 from planish.report.calibration.numbers import percent, pixels, significant
 from planish.report.text import count
-from planish.sensing.calibrate.advice import device_title
-from planish.sensing.calibrate.expected_error import ExpectedError, map_rms
+from planish.sensing.calibrate.judge.advice import device_title
+from planish.sensing.calibrate.judge.expected_error import ExpectedError, map_rms
+from planish.sensing.calibrate.judge.views import depths_mm
 from planish.sensing.calibrate.result import Calibration
-from planish.sensing.calibrate.views import depths_mm
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard
 
 #: Length for which the statement on the scale gives an example [mm].

@@ -13,10 +13,10 @@ from planish.options import Options, thread_count
 from planish.rig.parameters import PROJECTOR
 from planish.sensing.calibrate.adjust.conclude import conclude
 from planish.sensing.calibrate.adjust.geometry_checks import require_views
+from planish.sensing.calibrate.adjust.heights import choose_heights, with_heights
 from planish.sensing.calibrate.adjust.lens import Chosen
 from planish.sensing.calibrate.adjust.problem import problem_of
 from planish.sensing.calibrate.adjust.robust import Adjusted
-from planish.sensing.calibrate.adjust.shape import with_heights
 from planish.sensing.calibrate.adjust.stages import (
     REFERENCE,
     adjust_chosen,
@@ -42,7 +42,7 @@ class CalibrateOptions(Options):
     model: ModelName | None = None
     #: Lens model of single devices ("A", "B", "projector"), before `model`.
     models: dict[Literal["A", "B", "projector"], ModelName] = Field(default_factory=dict)
-    #: Whether the heights of the board's points are estimated (polynomials of order 2 to 4).
+    #: Whether the heights of the board's points are estimated: by a polynomial or one by one, what the views support.
     flatness: bool = False
     #: Probability that boards without any outlier lose a point.
     outlier_probability: float = Field(default=0.05, gt=0, lt=1)
@@ -100,9 +100,12 @@ def calibrate(
     if PROJECTOR in observations.devices:
         now = join_projector(now, observations, options.forced(PROJECTOR), share)
     say(STAGES[3], 3, len(STAGES))
-    item = adjust_chosen(now, share)
+    item, told = adjust_chosen(now, share), unused + now.findings
+    if options.flatness:
+        item, heights = choose_heights(now, item, share)
+        told = (*told, heights)
     require_views(item.problem, item.problem.devices)
     models = {device: chosen.told for device, chosen in now.models.items()}
-    result = conclude(observations, item, models, unused + now.findings, options.model_dump())
+    result = conclude(observations, item, models, told, options.model_dump())
     say(STAGES[3], 4, len(STAGES))
     return result

@@ -13,10 +13,10 @@ from pydantic import Field
 
 from planish import storage
 from planish.options import Strict
-from planish.sensing.calibrate.advice import advice
-from planish.sensing.calibrate.expected_error import ExpectedError, expected_errors, map_rms
+from planish.sensing.calibrate.judge.advice import advice
+from planish.sensing.calibrate.judge.expected_error import ExpectedError, expected_errors, map_rms
+from planish.sensing.calibrate.judge.views import depths_mm, placements
 from planish.sensing.calibrate.result import Calibration
-from planish.sensing.calibrate.views import depths_mm, placements
 from planish.sensing.capture.board import Board
 
 SCHEMA = "planish.calibration/1"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.rig import Rig
+from planish.sensing.rigcheck.change_size import likely_size, likely_sizes
 from planish.sensing.rigcheck.check import evidence_of
 from planish.sensing.rigcheck.estimates import (
     LENS_SIGMAS,
@@ -21,7 +22,7 @@ from planish.sensing.rigcheck.estimates import (
     unexplained,
     with_lens_errors,
 )
-from planish.sensing.rigcheck.evidence import Evidence, gather
+from planish.sensing.rigcheck.evidence import FLOOR_PX, Evidence, gather
 from planish.sensing.rigcheck.orientation import (
     CHANGES,
     external_names,
@@ -35,11 +36,8 @@ from planish.sensing.rigcheck.pairs import PixelPairs
 
 #: Linearisations; a second one takes 0.3 degrees to 1e-4 px.
 ITERATIONS = 4
-#: How large a change of the orientation may have been [rad]: none, and powers from 1e-5 to 0.1.
-CHANGE_SIZES_RAD = (0.0, *np.geomspace(1e-5, 0.1, 49))
-#: A change is taken for real where it makes the row errors more likely by this much (natural logarithm): with less,
-#: noise is explained as well.
-LEAST_GAIN = 4.0
+#: Trials of few changes, and what they may leave, in standard deviations.
+SPARSE_TRIALS, LEFT_SIGMAS = 4, 2.0
 #: Variance, as a share of a parameter's own, that is rounding.
 SINGULAR = 1e-12
 
@@ -88,11 +86,14 @@ def adjust_orientation(pairs: Sequence[PixelPairs], rig: Rig) -> Adjustment:
 
     Notes
     -----
-    Prior: the rig's covariance, and a change of unknown size: standard deviation s [rad] of each of CHANGES, with the s
-    that makes the row errors most likely (maximum of the marginal likelihood; Bishop 2006, 3.5). Then the row errors
-    decide what they see, and what they do not see stays where it was, uncertain by s. Only the orientation is changed:
-    the part of it that the other parameters do not bring along, dx' = dx - C_xc C_cc^-1 dc, for a calibration keeps its
-    parameters in tune with each other. The covariance afterwards holds for any gain (Joseph form).
+    Prior: the rig's covariance, and changes of unknown sizes (planish.sensing.rigcheck.change_size): one for all five,
+    from which the uncertainty follows, and one for each, most of them 0, from which the orientation follows. For a
+    change that row errors hardly see would be adjusted to noise, at the cost of depth. The expected square error of the
+    sparse estimate is the covariance of the other one and the square of their difference.
+
+    Only the orientation is changed: the part of it that the other parameters do not bring along,
+    dx' = dx - C_xc C_cc^-1 dc, for a calibration keeps its parameters in tune with each other. The covariance
+    afterwards holds for any gain (Joseph form).
     """
     evidence = evidence_of(pairs, rig)
     first, pattern = with_lens_errors(evidence, rig), slow_pattern(evidence)
@@ -102,50 +103,101 @@ def adjust_orientation(pairs: Sequence[PixelPairs], rig: Rig) -> Adjustment:
             rig, pattern, f"a pattern of {left_px:.2f} px rms over the image is none that an orientation makes"
         )  # fmt: skip
     moved, fixed = moved_device(pairs[0].own, pairs[0].other)
-    external = external_names(moved)
-    names = with_names(rig.covariance_parameters if rig.covariance is not None else (), external)
-    places = [names.index(name) for name in external]
-    size = likely_change(first, rig)
-    basis = orientation_basis(rig, moved, fixed)
-    L, own = _prior(rig, names, places, size * basis)
-    allowed = without_baseline_length(rig, moved, fixed)
-    total, current = np.zeros(len(external)), rig
-    for _ in range(ITERATIONS):
-        evidence = replace(gather(pairs, current, names), floor_px=first.floor_px)
-        gain = _placed(allowed @ _gain(evidence, L, own)[places], places, len(names))
-        total = (gain @ (evidence.error_px + evidence.by_rig[:, places] @ total))[places]
-        if not np.isfinite(total).all() or np.abs(total[:3]).max() > WIDEST_RAD:
-            return _refused(rig, pattern, "the row errors do not lead to an orientation near that of the rig")
-        current = reoriented(rig, moved, fixed, total) if total.any() else rig
-    covariance = _posterior(evidence, L, gain)
-    left = slow_pattern(gather(pairs, current, ()))
+    names = with_names(rig.covariance_parameters if rig.covariance is not None else (), external_names(moved))
+    task = _Task(pairs, rig, moved, fixed, names, first.floor_px)
+    size = likely_size(estimate_orientation(first, rig))
+    full = task.solve(np.full(len(CHANGES), size))
+    if full is None:
+        return _refused(rig, pattern, "the row errors do not lead to an orientation near that of the rig")
+    sparse = task.sparse(full) if size > 0 else full
+    left = slow_pattern(gather(pairs, sparse.rig, ()))
     if left.rms_px > pattern.rms_px + pattern.rms_sigma_px:
         return _refused(rig, pattern, "no other orientation makes the row errors smaller")
-    back = np.linalg.pinv(basis)
-    before, after = ((back @ c[np.ix_(places, places)] @ back.T).diagonal() for c in (L @ L.T, covariance))
+    covariance = full.covariance.copy()
+    covariance[np.ix_(task.places, task.places)] += np.outer(full.total - sparse.total, full.total - sparse.total)
+    before, after = (task.variances(c) for c in (full.prior @ full.prior.T, covariance))
     told = np.where(before > 0, 1 - after / np.where(before > 0, before, 1.0), 0.0)
-    adjusted = _with_covariance(current, covariance, names)
-    sigma = np.sqrt(np.maximum(after, 0))
-    return Adjustment(adjusted, "", back @ total, sigma, told, size, left.rms_px, left.rms_sigma_px)
+    adjusted = _with_covariance(sparse.rig, covariance, names)
+    change = task.changes(sparse.total)
+    return Adjustment(adjusted, "", change, np.sqrt(np.maximum(after, 0)), told, size, left.rms_px, left.rms_sigma_px)
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """An orientation for one prior: its change (6,), rig, evidence there, prior's factor and covariance after it."""
+
+    total: Array
+    rig: Rig
+    evidence: Evidence
+    prior: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is adjusted to what."""
+
+    pairs: Sequence[PixelPairs]
+    rig: Rig
+    moved: str
+    fixed: str
+    names: tuple[str, ...]
+    floor_px: Array
+
+    @property
+    def places(self) -> list[int]:
+        """Places of the external parameters among the names."""
+        return [self.names.index(name) for name in external_names(self.moved)]
+
+    @property
+    def basis(self) -> Array:
+        """From the five changes to the external parameters (6, 5)."""
+        return orientation_basis(self.rig, self.moved, self.fixed)
+
+    def changes(self, total: Array) -> Array:
+        """Return the five changes [rad] of external parameters' change (6,)."""
+        return np.asarray(np.linalg.pinv(self.basis) @ total)
+
+    def variances(self, covariance: Array) -> Array:
+        """Return the variances (5,) of the changes by a covariance of the names."""
+        back = np.linalg.pinv(self.basis)
+        return np.asarray((back @ covariance[np.ix_(self.places, self.places)] @ back.T).diagonal())
+
+    def solve(self, sizes: Array) -> _Solution | None:
+        """Return the orientation for changes of these sizes (5,) [rad]; None where it runs away."""
+        places = self.places
+        L, own = _prior(self.rig, self.names, places, self.basis * sizes)
+        allowed = without_baseline_length(self.rig, self.moved, self.fixed)
+        total, current = np.zeros(len(places)), self.rig
+        for _ in range(ITERATIONS):
+            evidence = replace(gather(self.pairs, current, self.names), floor_px=self.floor_px)
+            gain = _placed(allowed @ _gain(evidence, L, own)[places], places, len(self.names))
+            total = (gain @ (evidence.error_px + evidence.by_rig[:, places] @ total))[places]
+            if not np.isfinite(total).all() or np.abs(total[:3]).max() > WIDEST_RAD:
+                return None
+            current = reoriented(self.rig, self.moved, self.fixed, total) if total.any() else self.rig
+        evidence = replace(gather(self.pairs, current, self.names), floor_px=self.floor_px)
+        return _Solution(total, current, evidence, L, _posterior(evidence, L, gain))
+
+    def sparse(self, full: _Solution) -> _Solution:
+        """Return the orientation by the fewest changes that leave nothing significant; `full` where there is none."""
+        near, least_px = full, slow_pattern(full.evidence).rms_px
+        for _ in range(SPARSE_TRIALS):
+            left = estimate_orientation(near.evidence, self.rig)
+            found = self.solve(likely_sizes(left.moved_by(self.changes(near.total))))
+            if found is None:
+                return full
+            # The likelihood is that of the linearisation at `near`, and blind to what may be the lenses'.
+            sigmas = estimate_orientation(found.evidence, self.rig).sigmas
+            if sigmas < LEFT_SIGMAS and slow_pattern(found.evidence).rms_px < least_px + FLOOR_PX:
+                return found
+            near = found
+        return full
 
 
 def _refused(rig: Rig, pattern: Pattern, why: str) -> Adjustment:
     none = np.zeros(len(CHANGES))
     return Adjustment(rig, why, none, none, none, 0.0, pattern.rms_px, pattern.rms_sigma_px)
-
-
-def likely_change(evidence: Evidence, rig: Rig) -> float:
-    """Return the size [rad] of a change of the orientation that makes the row errors most likely; 0 for none."""
-    found = estimate_orientation(evidence, rig)
-    values, vectors = np.linalg.eigh(found.information)
-    seen = values > 1e-10 * values[-1]
-    variance = 1 / values[seen]
-    parts = vectors[:, seen].T @ found.change_rad
-    likely = [
-        -0.5 * float((np.log(variance + s**2) + parts**2 / (variance + s**2)).sum()) for s in CHANGE_SIZES_RAD
-    ]  # fmt: skip
-    best = int(np.argmax(likely))
-    return CHANGE_SIZES_RAD[best] if likely[best] - likely[0] > LEAST_GAIN else 0.0
 
 
 def _prior(rig: Rig, names: tuple[str, ...], places: Sequence[int], change: Array) -> tuple[Array, NDArray[np.bool_]]:

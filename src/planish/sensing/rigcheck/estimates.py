@@ -101,6 +101,10 @@ class Orientation:
         """Covariance (5, 5) [rad^2]; what nothing observes has WIDEST_RAD."""
         return np.asarray(np.linalg.inv(self.information + np.eye(len(CHANGES)) / WIDEST_RAD**2), np.float64)
 
+    def moved_by(self, change_rad: Array) -> Orientation:
+        """Return the same for a rig before it was changed by (5,) [rad]."""
+        return replace(self, change_rad=self.change_rad + change_rad)
+
 
 def estimate_orientation(evidence: Evidence, rig: Rig | None) -> Orientation:
     """Return the change of the orientation against noise, and (rig given) against what its covariance allows too."""

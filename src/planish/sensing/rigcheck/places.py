@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
-from planish.rig import Camera, Rig
-from planish.rig.derivatives import project_with_derivatives
 from planish.sensing.rigcheck.pairs import across_epipolar_lines, unit_rays
 
 #: A tile is a square of so many pixels at least, and of about this share of the image's width.
@@ -21,7 +19,7 @@ MIN_SHARE = 0.9
 #: Fewer places say nothing.
 MIN_PLACES = 8
 #: The direction of a fringe in the other image, as the tangent of its angle to the normal of the epipolar line, is
-#: known to this standard deviation with and without the projector's calibration.
+#: known to this standard deviation with and without decoded positions.
 SLACK_KNOWN, SLACK_UNKNOWN = 0.1, 0.5
 #: Fringes nearer to the epipolar lines than this (cosine to their normal) do not tell where a point is along them.
 MIN_ACROSS = 0.3
@@ -105,16 +103,19 @@ def choose_places(measurement: Measurement) -> Places | None:
         return None
     side = tile_side(measurement.shape[1])
     known = np.isfinite(pixels[..., 0]) & measurement.valid
+    position = measurement.position_px
+    if position is not None:
+        known &= np.isfinite(position)
     corners = tile_corners(known, side)
     if len(corners) < MIN_PLACES:
         return None
     parts = [
-        _tile(measurement.points_sensor, pixels, known[v : v + side, u : u + side], u, v) for u, v in corners
+        _tile(measurement.points_sensor, pixels, position, known[v : v + side, u : u + side], u, v) for u, v in corners
     ]  # fmt: skip
-    center, there, points, affine, tangents = (np.array(part, float) for part in zip(*parts, strict=True))
+    center, there, points, affine, gradient = (np.array(part, float) for part in zip(*parts, strict=True))
     rig = measurement.rig
     across, _ = across_epipolar_lines(rig.cameras[other], points, unit_rays(rig.cameras[own], center))
-    lean, slack = _lean(rig, rig.cameras[other], points, tangents, across)
+    lean, slack = _lean(affine, gradient, across)
     tiles = np.stack([pixels[v : v + side, u : u + side] for u, v in corners])
     return Places(
         own, other, side, np.array(corners), tiles, center, there, points, affine, across, lean, slack
@@ -133,41 +134,33 @@ def tile_corners(known: NDArray[np.bool_], side: int) -> list[tuple[int, int]]:
     return [(u, v) for u, v in grid if known[v : v + side, u : u + side].mean() >= MIN_SHARE]
 
 
-def _tile(points: Map, pixels: Map, known: NDArray[np.bool_], u: int, v: int) -> tuple[Array, ...]:
-    """Central pixel, its correspondence and point; derivatives (2, 2) and (3, 2) of these by the pixel."""
+def _tile(
+    points: Map, pixels: Map, position: Map | None, known: NDArray[np.bool_], u: int, v: int
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Central pixel, its correspondence and point; derivatives of correspondence and position by the pixel."""
     rows, columns = np.nonzero(known)
     side = len(known)
     nearest = np.argmin((rows - side / 2) ** 2 + (columns - side / 2) ** 2)
     center = np.array([columns[nearest], rows[nearest]])
-    here = np.column_stack([columns - center[0], rows - center[1]])
-    plane = np.column_stack([here, np.ones(len(here))])
+    plane = np.column_stack([columns - center[0], rows - center[1], np.ones(len(rows))])
     at = (rows + v, columns + u)
-    values = np.column_stack([pixels[at], points[at]]).astype(float)
+    decoded = np.zeros(len(rows)) if position is None else position[at]
+    values = np.column_stack([pixels[at], points[at], decoded]).astype(float)
     fit = np.linalg.lstsq(plane, values, rcond=None)[0]
     # The correspondence of the plane, not of one pixel: that has noise.
-    return center + [u, v], fit[2, :2], fit[2, 2:], fit[:2, :2].T, fit[:2, 2:].T
+    return center + [u, v], fit[2, :2], fit[2, 2:5], fit[:2, :2].T, fit[:2, 5]
 
 
-def _lean(rig: Rig, other: Camera, points: Array, tangents: Array, across: Array) -> tuple[Array, float]:
+def _lean(affine: Array, gradient: Array, across: Array) -> tuple[Array, float]:
     """Direction of the fringes in the other image, and how well it is known.
 
-    A fringe is where the surface meets the plane of one projector column (or row): the direction within the tangent
-    plane in which that coordinate of the projector does not change. Which axis was projected a measurement does not
-    say: the one whose fringes stand across the epipolar lines, for only that one measures depth.
+    Along a fringe the decoded position (gradient (n, 2) by the pixel) does not change, and corresponding pixels see the
+    same position, whatever the rig: the fringe of the other image is that of the own one, mapped by `affine`.
     """
-    if rig.projector is None:
-        return np.zeros(len(points)), SLACK_UNKNOWN
-    _, by_point, _ = project_with_derivatives(rig.projector, points)
-    _, other_by_point, _ = project_with_derivatives(other, points)
-    gradient = by_point @ tangents
-    leans, shares = [], []
-    for axis in (0, 1):
-        within = np.stack([-gradient[:, axis, 1], gradient[:, axis, 0]], -1)
-        image = np.einsum("nij,njk,nk->ni", other_by_point, tangents, within)
-        image /= np.linalg.norm(image, axis=1, keepdims=True)
-        on = (image * across).sum(1)
-        along = image[:, 1] * across[:, 0] - image[:, 0] * across[:, 1]
-        shares.append(float(np.median(np.abs(on))))
-        leans.append(along / np.where(np.abs(on) < MIN_ACROSS, np.copysign(MIN_ACROSS, on), on))
-    best = int(np.argmax(shares))
-    return leans[best], SLACK_KNOWN
+    if not gradient.any():
+        return np.zeros(len(across)), SLACK_UNKNOWN
+    image = np.einsum("nij,nj->ni", affine, np.stack([-gradient[:, 1], gradient[:, 0]], -1))
+    image /= np.maximum(np.linalg.norm(image, axis=1, keepdims=True), 1e-12)
+    on = (image * across).sum(1)
+    along = image[:, 1] * across[:, 0] - image[:, 0] * across[:, 1]
+    return along / np.where(np.abs(on) < MIN_ACROSS, np.copysign(MIN_ACROSS, on), on), SLACK_KNOWN

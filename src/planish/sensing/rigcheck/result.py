@@ -25,8 +25,8 @@ class MeasurementRows:
     searched : int
         Number of places that were looked at.
     mean_px, sigma_px, variation_px : float or None
-        Mean row error (positive where camera B, or the projector, has the point at larger rows than the rig says), its
-        standard deviation, robust standard deviation over the places; None = not observable.
+        Mean row error, its standard deviation, robust standard deviation over the places; None = not observable.
+        Positive where camera B, or the projector, has the point at larger rows than the rig says.
     own_px : ndarray (n, 2)
         Pixels of the organising camera at which a row error is known.
     error_px, error_sigma_px : ndarray (n,)

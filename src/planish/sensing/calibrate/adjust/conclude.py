@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from planish.geometry import Array, transform_points
 from planish.measurement import Finding
 from planish.sensing.calibrate.adjust.geometry_checks import weak_geometry
+from planish.sensing.calibrate.adjust.heights import misplaced_points
 from planish.sensing.calibrate.adjust.left_out import covariance_factor, leave_out
 from planish.sensing.calibrate.adjust.robust import Adjusted
 from planish.sensing.calibrate.adjust.scale import scale_of
@@ -76,7 +77,15 @@ def conclude(
         left_out_rms_px={name: left_out.rms_px(name) for name in item.problem.devices},
         scale=(scale.value, scale.sigma),
         height_mm=_heights(item),
-        findings=(*findings, *dropped, *weak_geometry(item), told_factor, *shape.findings, *scale.findings),
+        findings=(
+            *findings,
+            *dropped,
+            *weak_geometry(item),
+            told_factor,
+            misplaced_points(item, observations.board),
+            *shape.findings,
+            *scale.findings,
+        ),
         options=options,
     )
 

@@ -1,4 +1,4 @@
-"""The shape of the board: ratio of its pitches, shear, bending, heights; as modes of the adjustment and as findings."""
+"""The shape of the board as findings: ratio of its pitches, shear, bending."""
 
 from __future__ import annotations
 
@@ -11,18 +11,14 @@ from planish.geometry import Array
 from planish.measurement import Finding
 from planish.sensing.calibrate.adjust.equations import equations, pseudo_inverse
 from planish.sensing.calibrate.adjust.linear import linearise
-from planish.sensing.calibrate.adjust.problem import Free, Problem, State
+from planish.sensing.calibrate.adjust.problem import Free, State
 from planish.sensing.calibrate.adjust.robust import Adjusted
 from planish.sensing.capture.board import Board
 
-#: Orders of the polynomials that stand for the heights of the board.
-LEAST_ORDER, MOST_ORDER = 2, 4
 #: A shape is reported with a warning where chance gives it with less than this probability ...
 CHANCE = 1e-4
 #: ... and it is worth naming: shear and pitch ratio, and the bending as a share of the board's length.
 WORTH = 1e-4
-#: Share of the largest singular value below which a polynomial is none of its own on this grid.
-RANK_SHARE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -39,32 +35,6 @@ class Shape:
 
     findings: tuple[Finding, ...]
     bias: tuple[Array, ...]
-
-
-def height_modes(points_board: Array) -> Array:
-    """Return heights (k, N, 3) out of the plane: polynomials of order 2 to 4, orthogonal to each other and to planes.
-
-    Each has an rms of 1 mm over the points; positive towards the sensor (the board's z points away from it).
-    """
-    x, y = _normalised(points_board).T
-    powers = [(i, n - i) for n in range(MOST_ORDER + 1) for i in range(n, -1, -1)]
-    Q = np.empty((len(x), 0))
-    planes = 0
-    for i, j in powers:
-        column = x**i * y**j
-        rest = column - Q @ (Q.T @ column)
-        rest -= Q @ (Q.T @ rest)
-        if np.linalg.norm(rest) > RANK_SHARE * np.linalg.norm(column):
-            Q = np.column_stack([Q, rest / np.linalg.norm(rest)])
-            planes += i + j < LEAST_ORDER
-    modes = np.zeros((Q.shape[1] - planes, len(x), 3))
-    modes[..., 2] = -np.sqrt(len(x)) * Q[:, planes:].T
-    return modes
-
-
-def with_heights(problem: Problem) -> Problem:
-    """Return the problem whose board may be uneven."""
-    return replace(problem, modes=height_modes(problem.points_board))
 
 
 def shape_of(item: Adjusted, board: Board) -> Shape:
@@ -159,8 +129,3 @@ def _sagitta(value: Array, half_mm: Array) -> tuple[float, float]:
     each = -values * reach**2
     strongest = int(np.abs(each).argmax())
     return float(each[strongest]), float(2 * reach[strongest])
-
-
-def _normalised(points_board: Array) -> Array:
-    centered = points_board[:, :2] - points_board[:, :2].mean(0)
-    return centered / np.abs(centered).max(0)

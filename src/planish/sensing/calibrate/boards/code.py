@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from planish.geometry import Array
-from planish.sensing.calibrate.grid import grid_shape
+from planish.sensing.calibrate.boards.grid import grid_shape
 from planish.sensing.calibrate.observations import BoardPoints, CodedPoints
 from planish.sensing.capture.board import Board, board_points
 from planish.sensing.decode import PhaseMap

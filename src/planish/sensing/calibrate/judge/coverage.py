@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.geometry import Array
-from planish.sensing.calibrate.expected_error import in_image
-from planish.sensing.calibrate.point_sigmas import point_sigmas
+from planish.sensing.calibrate.judge.expected_error import in_image
+from planish.sensing.calibrate.judge.point_sigmas import point_sigmas
+from planish.sensing.calibrate.judge.views import depths_mm
 from planish.sensing.calibrate.result import Calibration
-from planish.sensing.calibrate.views import depths_mm
 
 #: Cells (rows, columns) of an image, and cells per region: nine regions, each with a name.
 CELLS, REGION_CELLS = (9, 12), (3, 4)

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.rig.mat_values import MatlabObject, Unread, Value
+from planish.rig.exchange.mat_values import MatlabObject, Unread, Value
 
 #: Text, place of the content of objects, version, byte order.
 HEADER = 128

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.errors import InputError
-from planish.sensing.calibrate.manifest import ViewFiles
+from planish.sensing.calibrate.boards.manifest import ViewFiles
 from planish.sensing.capture.images import read_grey
 from planish.sensing.capture.manifest import Capture
 

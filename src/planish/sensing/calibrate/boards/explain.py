@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.sensing.calibrate.detect import blob_detector, detect_board, dictionaries, find_points, stretched
+from planish.sensing.calibrate.boards.detect import blob_detector, detect_board, dictionaries, find_points, stretched
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, Circles
 
 #: So many images are looked at, spread over the run, at this length at most [px].

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import partial
 
 from planish.errors import InputError
-from planish.sensing.calibrate.code import code_points
+from planish.sensing.calibrate.boards.code import code_points
 from planish.sensing.calibrate.observations import BoardPoints, CodedPoints
 from planish.sensing.capture.board import Board
 from planish.sensing.capture.manifest import Capture, ImageReader

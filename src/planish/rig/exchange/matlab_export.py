@@ -11,8 +11,8 @@ import numpy as np
 
 from planish.errors import InputError
 from planish.rig.camera import Camera
-from planish.rig.exchange import device_text, devices_to_write, losses, relative_transform, used_coefficients
-from planish.rig.matlab import CAMERAS, ORIGIN
+from planish.rig.exchange.common import device_text, devices_to_write, losses, relative_transform, used_coefficients
+from planish.rig.exchange.matlab import CAMERAS, ORIGIN
 from planish.rig.parameters import DISTORTION, PROJECTOR
 from planish.rig.rig import Rig
 from planish.storage import replacing

@@ -13,13 +13,13 @@ import numpy as np
 from planish.errors import InputError
 from planish.geometry import Array
 from planish.options import thread_count
-from planish.sensing.calibrate.agree import agree
-from planish.sensing.calibrate.decode import decode_code
-from planish.sensing.calibrate.detect import detect_board
-from planish.sensing.calibrate.explain import describe_board, what_would_fit
-from planish.sensing.calibrate.images import read_board_image, read_grey_values
-from planish.sensing.calibrate.label import renamed
-from planish.sensing.calibrate.manifest import BoardRun, ViewFiles, load_run
+from planish.sensing.calibrate.boards.agree import agree
+from planish.sensing.calibrate.boards.decode import decode_code
+from planish.sensing.calibrate.boards.detect import detect_board
+from planish.sensing.calibrate.boards.explain import describe_board, what_would_fit
+from planish.sensing.calibrate.boards.images import read_board_image, read_grey_values
+from planish.sensing.calibrate.boards.label import renamed
+from planish.sensing.calibrate.boards.manifest import BoardRun, ViewFiles, load_run
 from planish.sensing.calibrate.observations import BoardObservations, BoardPoints, BoardView, CodedPoints
 from planish.sensing.capture.board import Board
 from planish.sensing.capture.manifest import Capture

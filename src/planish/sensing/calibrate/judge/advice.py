@@ -8,10 +8,10 @@ from pathlib import PurePath
 import numpy as np
 
 from planish.rig.parameters import PROJECTOR
-from planish.sensing.calibrate.coverage import REGIONS, Coverage, coverage
-from planish.sensing.calibrate.expected_error import ExpectedError, expected_errors, map_rms
+from planish.sensing.calibrate.judge.coverage import REGIONS, Coverage, coverage
+from planish.sensing.calibrate.judge.expected_error import ExpectedError, expected_errors, map_rms
+from planish.sensing.calibrate.judge.views import Placement, depths_mm, placements
 from planish.sensing.calibrate.result import Calibration
-from planish.sensing.calibrate.views import Placement, depths_mm, placements
 
 #: Below a third of its cells a region's distortion is mostly extrapolated.
 REGION_SHARE = 1 / 3

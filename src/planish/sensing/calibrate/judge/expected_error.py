@@ -12,8 +12,8 @@ from planish.geometry import Array
 from planish.measurement import Map
 from planish.rig import Camera, Rig
 from planish.rig.derivatives import point_derivatives
+from planish.sensing.calibrate.judge.views import depths_mm
 from planish.sensing.calibrate.result import Calibration
-from planish.sensing.calibrate.views import depths_mm
 
 #: Places per image width of a map: its errors vary as slowly as distortions do.
 COLUMNS = 64

@@ -21,9 +21,9 @@ import numpy as np
 from planish.errors import InputError
 from planish.geometry import Array, compose, require_array
 from planish.rig.camera import Camera
-from planish.rig.exchange import ImportedRig, Size, size_of, to_size
-from planish.rig.mat_file import read_mat_file
-from planish.rig.mat_values import MatlabObject, Value
+from planish.rig.exchange.common import ImportedRig, Size, size_of, to_size
+from planish.rig.exchange.mat_file import read_mat_file
+from planish.rig.exchange.mat_values import MatlabObject, Value
 from planish.rig.rig import Rig
 
 #: Of stereoParameters.

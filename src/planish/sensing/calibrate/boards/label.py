@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.geometry import Array
-from planish.sensing.calibrate.grid import apply_homography, fit_homography, homography_jacobian
+from planish.sensing.calibrate.boards.grid import apply_homography, fit_homography, homography_jacobian
 from planish.sensing.calibrate.observations import BoardPoints, CodedPoints, Index
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, board_points
 

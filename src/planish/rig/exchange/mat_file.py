@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 
 from planish.errors import InputError
-from planish.rig.mat_5 import read_mat_5
-from planish.rig.mat_values import MatlabObject, Unread, Value
+from planish.rig.exchange.mat_5 import read_mat_5
+from planish.rig.exchange.mat_values import MatlabObject, Unread, Value
 
 #: `MATLAB_object_decode` of objects in files of version 7.3: of the old class system, and of today's.
 _OBJECTS = (2, 3)

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from planish.errors import InputError
 from planish.geometry import Array
-from planish.sensing.calibrate.grid import NEIGHBOURS, polynomial
-from planish.sensing.calibrate.label import matches_colours, order_of_points, turns
+from planish.sensing.calibrate.boards.grid import NEIGHBOURS, polynomial
+from planish.sensing.calibrate.boards.label import matches_colours, order_of_points, turns
+from planish.sensing.calibrate.boards.refine import Refined, refine_points, sides_that_go_on
 from planish.sensing.calibrate.observations import BoardPoints, Index
-from planish.sensing.calibrate.refine import Refined, refine_points, sides_that_go_on
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, Circles, board_points
 
 Image = NDArray[np.uint8]
@@ -203,7 +203,7 @@ def _of_right_colour(fine: Refined, board: Board, count: int) -> Refined | None:
 
 
 def _kept(fine: Refined, keep: Mask) -> Refined:
-    arrays = {f.name: getattr(fine, f.name)[keep] for f in fields(fine) if f.name != "limit"}
+    arrays = {f.name: getattr(fine, f.name)[keep] for f in fields(fine) if f.name not in ("limit", "radius")}
     return replace(fine, **arrays)
 
 

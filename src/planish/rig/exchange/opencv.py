@@ -15,7 +15,7 @@ import numpy as np
 from planish.errors import InputError
 from planish.geometry import Array, compose, require_array
 from planish.rig.camera import Camera
-from planish.rig.exchange import (
+from planish.rig.exchange.common import (
     ImportedRig,
     Size,
     device_text,

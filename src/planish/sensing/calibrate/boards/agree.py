@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from planish.geometry import Array
-from planish.sensing.calibrate.grid import fit_homography
-from planish.sensing.calibrate.label import renamed, turns
+from planish.sensing.calibrate.boards.grid import fit_homography
+from planish.sensing.calibrate.boards.label import renamed, turns
 from planish.sensing.calibrate.observations import BoardPoints, Index
 from planish.sensing.capture.board import Board, board_points
 
