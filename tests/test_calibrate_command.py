@@ -22,7 +22,7 @@ def item():
 
 
 def test_rig_record_and_report_lie_beside_each_other_under_one_name(item, tmp_path):
-    written = write_calibration(item, expected_errors(item), tmp_path / "left.json")
+    written = write_calibration(item, item.rig, expected_errors(item), tmp_path / "left.json")
     assert [path.name for path in written] == ["left.json", "left_calibration.json", "left_report.html"]
     assert Rig.load(written[0]).covariance_parameters == item.rig.covariance_parameters
     assert json.loads(written[1].read_text())["schema"] == "planish.calibration/1"
@@ -30,7 +30,7 @@ def test_rig_record_and_report_lie_beside_each_other_under_one_name(item, tmp_pa
 
 
 def test_without_report_only_rig_and_record_are_written(item, tmp_path):
-    write_calibration(item, (), tmp_path / "rig.json", report=False)
+    write_calibration(item, item.rig, (), tmp_path / "rig.json", report=False)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["rig.json", "rig_calibration.json"]
 
 

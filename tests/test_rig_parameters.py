@@ -193,3 +193,14 @@ def test_a_rig_that_is_uncertain_of_its_own_place_alone_is_exact_in_its_camera_s
     assert moved.modes().size == 0
     moved.save(tmp_path / "rig.json")
     assert Rig.load(tmp_path / "rig.json").covariance_parameters == names[6:]
+
+
+def test_a_rig_may_keep_the_sensor_frame_of_an_earlier_one(rig, points):
+    item = with_covariance(rig).in_frame_of("A")
+    kept = item.in_sensor_frame_of(rig)
+    for name, device in rig.devices.items():
+        np.testing.assert_allclose(kept.devices[name].project(points), device.project(points), atol=1e-9)
+    T = rig.cameras["A"].T_camera_sensor
+    here = point_derivatives(item, "A", "B", transform_points(T, points), item.covariance_parameters)
+    there = point_derivatives(kept, "A", "B", points, kept.covariance_parameters)
+    np.testing.assert_allclose(T[:3, :3] @ there, here, atol=1e-6 * np.abs(here).max())

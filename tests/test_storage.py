@@ -244,3 +244,11 @@ def test_json_that_holds_no_object_is_refused_by_name(tmp_path, content):
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"a\.json"):
         storage.read_json(path)
+
+
+def test_a_file_without_one_of_its_arrays_is_refused_by_the_name_of_it(tmp_path):
+    make_measurement().save(tmp_path / "m.h5")
+    with h5py.File(tmp_path / "m.h5", "a") as file:
+        del file["sigma_mm"]
+    with pytest.raises(InputError, match=r"m\.h5: sigma_mm: is missing; expected a file of this version"):
+        Measurement.load(tmp_path / "m.h5")

@@ -145,6 +145,10 @@ def _read(group: Any, name: str, hint: Any) -> Any:
         if typing.get_origin(hint) is tuple:
             return tuple(json.loads(item))
         return item.item() if isinstance(item, np.generic) else item
+    if name not in group:
+        raise InputError(
+            f"{group.name.strip('/')}/{name}".strip("/"), "is missing", "a file of this version of planish"
+        )
     node, hint = group[name], _without_none(hint)
     origin = typing.get_origin(hint)
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):

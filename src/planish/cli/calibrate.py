@@ -17,6 +17,7 @@ from planish.cli.evaluate import stdout
 from planish.errors import InputError
 from planish.pipeline import CalibrateOptions, versions
 from planish.pipeline import calibrate as calibrate_boards
+from planish.rig import Rig
 from planish.sensing.calibrate.files import CalibrationFile
 from planish.sensing.calibrate.judge.advice import advice, device_title
 from planish.sensing.calibrate.judge.expected_error import ExpectedError, expected_errors
@@ -36,6 +37,9 @@ def calibrate(
         typer.Option(help="Lens model of all devices; auto: what the boards support."),
     ] = AUTO,
     flatness: Annotated[bool, typer.Option("--flatness", help="Estimate the board's height map, too.")] = False,
+    keep_frame: Annotated[
+        Path | None, typer.Option(help="Earlier rig.json: its sensor frame is kept; default: the frame of camera A.")
+    ] = None,
     report: Annotated[bool, typer.Option(help="Write the report and its figures.")] = True,
     options_file: Annotated[
         Path | None, typer.Option("--options", help="JSON file of options that differ from the defaults.")
@@ -46,6 +50,7 @@ def calibrate(
     if out.suffix != ".json":
         raise InputError("--out", f"found '{out}'", "the name of a file that ends in .json")
     options = read_options(options_file, model, flatness)
+    earlier = None if keep_frame is None else Rig.load(keep_frame)
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("boards", total=None)
@@ -54,7 +59,9 @@ def calibrate(
             progress=lambda stage, done, total: bar.update(task, description=stage, completed=done, total=total),
         )  # fmt: skip
     errors = expected_errors(result)
-    written = write_calibration(result, errors, out, report)
+    # The report tells of everything in the frame of camera A; only the rig that is used elsewhere changes its frame.
+    rig = result.rig if earlier is None else result.rig.in_sensor_frame_of(earlier)
+    written = write_calibration(result, rig, errors, out, report)
     print_calibration(result, errors)
     console.print(f"wrote {', '.join(str(path) for path in written)}", highlight=False, soft_wrap=True)
 
@@ -70,10 +77,10 @@ def read_options(file: Path | None, model: str, flatness: bool) -> CalibrateOpti
 
 
 def write_calibration(
-    calibration: Calibration, errors: Sequence[ExpectedError], out: Path, report: bool = True
+    calibration: Calibration, rig: Rig, errors: Sequence[ExpectedError], out: Path, report: bool = True
 ) -> list[Path]:
-    """Write the rig, what it rests on, and the report; return the files' paths."""
-    calibration.rig.save(out)
+    """Write the rig in the frame that is wanted, what it rests on, and the report; return the files' paths."""
+    rig.save(out)
     record = out.with_name(f"{out.stem}_calibration.json")
     CalibrationFile.of(calibration, versions(), errors).save(record)
     if not report:

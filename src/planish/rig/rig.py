@@ -73,6 +73,21 @@ class Rig:
         covariance, names = covariance_in_frame(self.covariance, self.covariance_parameters, places, camera)
         return replace(moved, covariance=covariance, covariance_parameters=names)
 
+    def in_sensor_frame_of(self, other: Rig) -> Rig:
+        """Return the same rig with the sensor frame in which camera A stands as it does in `other`.
+
+        What refers to the sensor frame of an earlier calibration (a robot's transform, a volume, a truth) stays valid.
+        The covariance stays what it is about camera A: its parameters act in the devices' own frames.
+        """
+        here = self.in_frame_of("A")
+        T_A_sensor = other.cameras["A"].T_camera_sensor
+
+        def move(item: Camera) -> Camera:
+            return replace(item, T_camera_sensor=item.T_camera_sensor @ T_A_sensor)
+
+        cameras = {name: move(item) for name, item in here.cameras.items()}
+        return replace(here, cameras=cameras, projector=None if here.projector is None else move(here.projector))
+
     def changed(self, change: ArrayLike, names: Sequence[str] | None = None) -> Rig:
         """Return the rig with the named parameters (default: those of the covariance) changed by `change` (n,)."""
         names = self.covariance_parameters if names is None else names
