@@ -1,6 +1,8 @@
 """Everything read from outside: unknown keys, wrong types and non-finite numbers are refused with a clear message."""
 
 import math
+import pickle
+from pathlib import Path
 
 import pytest
 from pydantic import Field, ValidationError
@@ -69,3 +71,10 @@ def test_a_wrong_number_of_threads_in_the_environment_is_refused(monkeypatch, te
 def test_no_threads_at_all_are_refused():
     with pytest.raises(InputError, match="threads: found 0"):
         options.thread_count(0)
+
+
+def test_an_input_error_passes_from_one_process_to_another():
+    error = InputError(Path("a.json"), "found nothing", "something")
+    again = pickle.loads(pickle.dumps(error))
+    assert (type(again), str(again)) == (InputError, str(error))
+    assert (again.subject, again.found, again.expected) == ("a.json", "found nothing", "something")

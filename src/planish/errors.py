@@ -21,3 +21,7 @@ class InputError(ValueError):
     def __init__(self, subject: str | Path, found: str, expected: str) -> None:
         self.subject, self.found, self.expected = str(subject), found, expected
         super().__init__(f"{subject}: {found}; expected {expected}")
+
+    def __reduce__(self) -> tuple[type[InputError], tuple[str, str, str]]:
+        """Return how to make this error again: it must pass from one process to another."""
+        return type(self), (self.subject, self.found, self.expected)
