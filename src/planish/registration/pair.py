@@ -123,6 +123,7 @@ def register_pair(
         consensus=best.places if best else 0,
         log10_false_alarms=log10_false_alarms(best.places if best else 0, coarse.places, coarse.chance, pairs_in_run),
         runner_up=other,
+        T_coarse_a_b=best.T_a_b if best else None,
         matches_px=_pixels(a, b, matches),
         consensus_px=_pixels(a, b, matches.take(best.members)) if best else np.empty((0, 4)),
     )

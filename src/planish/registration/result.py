@@ -88,6 +88,8 @@ class PairResult:
     #: Per rig (by its key) the changes xi (k, 6) of T_a_b by the modes of its covariance, whose outer products add up
     #: to `covariance_calibration`. For the network, not in the JSON; None where a rig states no errors.
     calibration_shifts: Mapping[str, Array] | None = None
+    #: Transform (4, 4) of the consensus before refinement, whatever the verdict; not in the JSON.
+    T_coarse_a_b: Array | None = None
     #: Pixels (N, 4) of the consensus: (u, v) in a's and (u, v) in b's organising camera; for pictures, not in the JSON.
     consensus_px: Array = field(default_factory=lambda: np.empty((0, 4)))
     #: The same of all matches.

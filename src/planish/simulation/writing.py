@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -22,10 +22,10 @@ TRUTH_SCHEMA = "planish.truth/1"
 
 
 def write_scene(
-    scene: Scene, out: Path, *, true_points: bool = True, threads: int | None = None,
-    progress: Callable[[str], None] = lambda name: None,
+    scene: Scene, out: Path, *, true_points: bool = True, only: Collection[int] | None = None,
+    threads: int | None = None, progress: Callable[[str], None] = lambda name: None,
 ) -> list[Path]:  # fmt: skip
-    """Render and write all captures; return their folders.
+    """Render and write all captures, or those whose numbers are in `only`; return their folders.
 
     Writes out/NAME/{capture.json, rig.json, A_00_....png, ...}, out/truth.json and, with `true_points`,
     out/NAME/truth_A.npz and truth_B.npz: `points_sensor` (H, W, 3) float32 [mm], NaN where there is none, and `seen`
@@ -39,6 +39,8 @@ def write_scene(
     out = Path(out)
     folders = []
     for index, name in enumerate(scene.names):
+        if only is not None and index not in only:
+            continue
         progress(name)
         folder = out / name
         try:

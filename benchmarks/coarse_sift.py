@@ -1,0 +1,48 @@
+"""The peer that everybody can build: OpenCV's SIFT on the white images, ratio test, 3-point RANSAC on the 3D points."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from planish.geometry import Array, fit_rigid, transform_points
+from planish.measurement import Measurement
+
+RATIO, TRIALS, TOLERANCE_MM, LEAST = 0.8, 5000, 1.0, 6
+
+
+def register_plain_sift(a: Measurement, b: Measurement) -> Array | None:
+    """Return T_a_b (4, 4) of the largest consensus, None with fewer than LEAST matches that agree."""
+    (points_a, words_a), (points_b, words_b) = (_keypoints(m) for m in (a, b))
+    if min(len(points_a), len(points_b)) < LEAST:
+        return None
+    best = cv2.BFMatcher(cv2.NORM_L2).knnMatch(words_b, words_a, k=2)
+    good = [(m.trainIdx, m.queryIdx) for m, n in best if m.distance < RATIO * n.distance]
+    if len(good) < LEAST:
+        return None
+    pa, pb = points_a[[g[0] for g in good]], points_b[[g[1] for g in good]]
+    rng = np.random.default_rng(0)
+    inside = np.zeros(len(pa), bool)
+    for _ in range(TRIALS):
+        pick = rng.choice(len(pa), 3, replace=False)
+        T = fit_rigid(pa[pick], pb[pick])
+        agree = np.linalg.norm(transform_points(T, pb) - pa, axis=1) < TOLERANCE_MM
+        if agree.sum() > inside.sum():
+            inside = agree
+    if inside.sum() < LEAST:
+        return None
+    return fit_rigid(pa[inside], pb[inside])
+
+
+def _keypoints(m: Measurement) -> tuple[Array, np.ndarray]:
+    view = m.views[m.organised_on]
+    image = view.white if view.white is not None else view.mean
+    assert image is not None
+    grey = np.clip(image * (255 / np.nanpercentile(image, 99.9)), 0, 255).astype(np.uint8)
+    found, words = cv2.SIFT_create(5000).detectAndCompute(grey, m.valid.astype(np.uint8) * 255)
+    if words is None:
+        return np.empty((0, 3)), np.empty((0, 128), np.float32)
+    at = np.rint([k.pt for k in found]).astype(int)
+    points = m.points_sensor[at[:, 1], at[:, 0]].astype(float)
+    known = np.isfinite(points[:, 2])
+    return points[known], words[known]
