@@ -8,8 +8,8 @@ import pytest
 
 from drawn_boards import draw, looking_down, placed
 from planish.errors import InputError
-from planish.sensing.calibrate.boards.label import turns
 from planish.sensing.calibrate.boards.observe import observe_boards
+from planish.sensing.calibrate.symmetry import names_alike
 from planish.sensing.capture.board import board_points, parse_board
 from planish.sensing.patterns.encode import axis_of, encode
 from planish.sensing.patterns.sequences import gray_sequence, multi_frequency_sequence, phase_shift_sequence
@@ -104,7 +104,7 @@ def test_without_a_white_image_the_mean_of_the_sequence_shows_the_board(tmp_path
     seen = observe_boards(tmp_path)
     points = seen.views[0].cameras["A"]
     assert seen.views[0].images == {"A": "01: mean of camera A"}
-    errors = [np.abs(points.pixel_px - pixels[turn[points.index]]).max() for turn in turns(PRINTED)]
+    errors = [np.abs(points.pixel_px - pixels[turn[points.index]]).max() for turn in names_alike(PRINTED)]
     assert min(errors) < 0.05
 
 

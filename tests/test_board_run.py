@@ -9,10 +9,11 @@ import pytest
 from drawn_boards import draw, looking_down, placed
 from planish.errors import InputError
 from planish.sensing.calibrate.boards.agree import agree
-from planish.sensing.calibrate.boards.label import renamed, turns
+from planish.sensing.calibrate.boards.label import renamed
 from planish.sensing.calibrate.boards.manifest import load_run
 from planish.sensing.calibrate.boards.observe import observe_boards
 from planish.sensing.calibrate.observations import BoardPoints
+from planish.sensing.calibrate.symmetry import names_alike
 from planish.sensing.capture.board import board_points, parse_board
 
 BOARD = {"schema": "planish.board/1", "kind": "chessboard", "corners": [5, 3], "pitch_mm": 10}
@@ -130,7 +131,7 @@ def test_an_image_upside_down_is_found(tmp_path, images):
     seen = observe_boards(write(tmp_path, turned))
     upright = observe_boards(write(tmp_path / "upright", images))
     there, here = (run.views[0].cameras["B"] for run in (upright, seen))
-    errors = [np.abs(here.pixel_px + there.pixel_px[turn] - [199, 149]).max() for turn in turns(PRINTED)]
+    errors = [np.abs(here.pixel_px + there.pixel_px[turn] - [199, 149]).max() for turn in names_alike(PRINTED)]
     assert min(errors) < 0.02
 
 
@@ -221,7 +222,7 @@ def test_a_board_that_would_fit_is_named(tmp_path, printed, stated, message):
 @pytest.mark.parametrize("corners", [[5, 3], [5, 5]])
 def test_both_cameras_get_the_same_names(corners):
     printed = parse_board({**BOARD, "corners": corners}, "board.json")
-    assert len(turns(printed)) > 1
+    assert len(names_alike(printed)) > 1
     rng = np.random.default_rng(1)
     views, truth = [], []
     for tilt in TILTS:
@@ -232,7 +233,7 @@ def test_both_cameras_get_the_same_names(corners):
             pixels = camera().project(board_points(printed) @ T_seen[:3, :3].T + T_seen[:3, 3])
             view[name] = BoardPoints(np.arange(len(pixels)), pixels, np.full(len(pixels), 0.05))
         truth.append(view["B"])
-        wrong = turns(printed)[rng.integers(len(turns(printed)))]
+        wrong = names_alike(printed)[rng.integers(len(names_alike(printed)))]
         views.append({"A": view["A"], "B": renamed(view["B"], wrong)})
     found = agree(views, printed, {"A": (200, 150), "B": (200, 150)}, [None] * len(views))
     for view, turn, right in zip(views, found, truth, strict=True):
@@ -242,6 +243,6 @@ def test_both_cameras_get_the_same_names(corners):
 def test_what_the_projector_says_names_the_points_of_both_cameras():
     points = camera().project(board_points(PRINTED) @ placed(PRINTED, camera())[:3, :3].T + [0, 0, 200])
     b = BoardPoints(np.arange(15), points, np.full(15, 0.05))
-    turned = renamed(b, turns(PRINTED)[1])
+    turned = renamed(b, names_alike(PRINTED)[1])
     (turn,) = agree([{"A": b, "B": turned}], PRINTED, {"A": (200, 150), "B": (200, 150)}, [points + 0.4])
     assert renamed(turned, turn).pixel_px == pytest.approx(points)

@@ -9,8 +9,8 @@ from calibrated import AB, STATED, altered, finding, made, nees, seen, warnings
 from planish.errors import InputError
 from planish.geometry import exp_so3, transform_points
 from planish.sensing.calibrate.adjust.discs import disc_shift
-from planish.sensing.calibrate.adjust.symmetry import turns
 from planish.sensing.calibrate.calibrate import CalibrateOptions, calibrate
+from planish.sensing.calibrate.symmetry import turns
 from planish.sensing.capture.board import board_points, parse_board
 from planish.simulation.board_places import board_places
 from planish.simulation.boards import PrintedBoard

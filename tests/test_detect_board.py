@@ -5,8 +5,8 @@ import pytest
 
 from drawn_boards import disc_centers, draw, looking_down, placed
 from planish.sensing.calibrate.boards.detect import detect_board
-from planish.sensing.calibrate.boards.label import flipped_index, turns
 from planish.sensing.calibrate.observations import BoardPoints
+from planish.sensing.calibrate.symmetry import names_alike
 from planish.sensing.capture.board import board_points, parse_board
 
 #: Rms of a coordinate without noise: what 8 bit and drawing leave (seen: 0.0007 to 0.003). OpenCV's own corners are off
@@ -43,7 +43,7 @@ BOARDS = {
 def errors(found, printed, truth):
     """Differences (n, 2) from the true places, as seen after whichever turn of the board fits."""
     assert isinstance(found, BoardPoints), found
-    return min((found.pixel_px - truth[turn[found.index]] for turn in turns(printed)), key=lambda e: (e**2).sum())
+    return min((found.pixel_px - truth[turn[found.index]] for turn in names_alike(printed)), key=lambda e: (e**2).sum())
 
 
 def rms(values):
@@ -192,12 +192,13 @@ def test_images_without_a_board_say_why(level, reason):
     ],
 )  # fmt: skip
 def test_a_board_has_as_many_names_as_turns_that_leave_it_alike(name, number):
-    found = turns(BOARDS[name])
+    found = names_alike(BOARDS[name])
     assert len(found) == number
     assert np.array_equal(found[0], np.arange(len(board_points(BOARDS[name]))))
-    assert (flipped_index(BOARDS[name]) is None) == (number == 1)
+    half = np.arange(len(found[0]))[::-1]
+    assert any(np.array_equal(turn, half) for turn in found) == (number > 1)
 
 
 def test_a_quarter_turn_moves_a_square_boards_points_to_the_next_sides():
-    quarter = turns(board(kind="circles", circles=[3, 3]))[1]
+    quarter = names_alike(board(kind="circles", circles=[3, 3]))[1]
     assert np.array_equal(quarter[quarter], np.arange(9)[::-1])

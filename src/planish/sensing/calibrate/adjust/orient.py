@@ -17,8 +17,8 @@ from planish.rig import Camera
 from planish.rig.parameters import PROJECTOR
 from planish.sensing.calibrate.adjust.problem import Block, Problem, placed
 from planish.sensing.calibrate.adjust.start import place_boards, upside_down
-from planish.sensing.calibrate.adjust.symmetry import Turn
 from planish.sensing.calibrate.observations import Index
+from planish.sensing.calibrate.symmetry import Turn
 
 #: A view fits where the other device's image of the board is predicted within this share of the image's width ...
 FIT_SHARE = 0.01

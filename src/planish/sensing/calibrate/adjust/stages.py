@@ -20,8 +20,8 @@ from planish.sensing.calibrate.adjust.problem import Block, Free, Mask, Problem,
 from planish.sensing.calibrate.adjust.robust import Adjusted, adjust_robustly
 from planish.sensing.calibrate.adjust.single import adjust_single, as_camera
 from planish.sensing.calibrate.adjust.start import place_boards, place_errors, upside_down
-from planish.sensing.calibrate.adjust.symmetry import turns
 from planish.sensing.calibrate.observations import BoardObservations
+from planish.sensing.calibrate.symmetry import turns
 
 #: An image that does not fit was saved upside down where it fits so much better when turned.
 BETTER_TURNED = 0.3

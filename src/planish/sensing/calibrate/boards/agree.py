@@ -8,8 +8,9 @@ import numpy as np
 
 from planish.geometry import Array
 from planish.sensing.calibrate.boards.grid import fit_homography
-from planish.sensing.calibrate.boards.label import renamed, turns
+from planish.sensing.calibrate.boards.label import renamed
 from planish.sensing.calibrate.observations import BoardPoints, Index
+from planish.sensing.calibrate.symmetry import names_alike
 from planish.sensing.capture.board import Board, board_points
 
 #: Rotations between the cameras that lie this near to each other agree [rad]: rough camera matrices tell no better.
@@ -24,7 +25,7 @@ def agree(
     size_px: Mapping[str, tuple[int, int]],
     known: Sequence[Array | None],
 ) -> list[Index]:
-    """Return per view the turn of camera B's points (see `turns`) after which both cameras mean the same points.
+    """Return per view the turn of camera B's points (see `names_alike`) after which both cameras mean the same points.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ def agree(
     rotation from A to B, with rough camera matrices; the proposal that most views have a turn for is right. Where
     boards are all parallel, several agree: then the one with the cameras' x axes most alike.
     """
-    permutations = turns(board)
+    permutations = names_alike(board)
     chosen = [permutations[0]] * len(views)
     both = [k for k, view in enumerate(views) if "A" in view and "B" in view]
     if len(permutations) == 1 or not both:

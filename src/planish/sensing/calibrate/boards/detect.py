@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from planish.errors import InputError
 from planish.geometry import Array
 from planish.sensing.calibrate.boards.grid import NEIGHBOURS, polynomial
-from planish.sensing.calibrate.boards.label import matches_colours, order_of_points, turns
+from planish.sensing.calibrate.boards.label import matches_colours, order_of_points
 from planish.sensing.calibrate.boards.refine import Refined, refine_points, sides_that_go_on
 from planish.sensing.calibrate.observations import BoardPoints, Index
+from planish.sensing.calibrate.symmetry import names_alike
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, Circles, board_points
 
 Image = NDArray[np.uint8]
@@ -192,7 +193,7 @@ def _of_right_colour(fine: Refined, board: Board, count: int) -> Refined | None:
     if not isinstance(board, (Chessboard, Charuco)):
         return fine
     right = matches_colours(board, fine.index, fine.dark)
-    if isinstance(board, Charuco) or len(turns(board)) > 1:
+    if isinstance(board, Charuco) or len(names_alike(board)) > 1:
         # Nothing tells apart: which colour comes first is the print's affair, but they must alternate.
         alternate = right if right.mean() >= 0.5 else ~right
         alternate = right if isinstance(board, Charuco) else alternate

@@ -14,51 +14,7 @@ from planish.sensing.calibrate.boards.grid import apply_homography, fit_homograp
 from planish.sensing.calibrate.observations import BoardPoints, CodedPoints, Index
 from planish.sensing.capture.board import AsymmetricCircles, Board, Charuco, Chessboard, board_points
 
-#: Turned by 90 degrees, points coincide to this share of the pitch.
-SAME_PLACE = 1e-3
-
 Points = TypeVar("Points", BoardPoints, CodedPoints)
-
-
-def turns(board: Board) -> tuple[Index, ...]:
-    """Return the turns of the board about its middle after which it looks the same, as permutations of its points.
-
-    `turns(board)[k][i]` is the point whose place point i takes. The first is no turn at all; pitches along x and y that
-    differ do not make a board look different enough to rely on.
-    """
-    count = len(board_points(board))
-    if isinstance(board, Charuco):
-        return (np.arange(count),)
-    grid = board_points(board)[:, :2] / board.pitches_mm
-    middle = grid - grid.mean(0)
-    found = []
-    for quarter in range(4):
-        cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
-        turned = middle @ np.array([[cos, sin], [-sin, cos]])
-        distance = np.linalg.norm(turned[:, None] - middle[None], axis=2)
-        to = distance.argmin(1)
-        if distance.min(1).max() > SAME_PLACE or not _same_colours(board, to, quarter):
-            continue
-        found.append(to)
-    return tuple(found)
-
-
-def flipped_index(board: Board) -> Index | None:
-    """Return the permutation of the board's points by a turn of 180 degrees, or None where it changes its looks."""
-    half = np.arange(len(board_points(board)))[::-1]
-    return next((turn for turn in turns(board) if np.array_equal(turn, half)), None)
-
-
-def _same_colours(board: Board, turned: Index, quarter: int) -> bool:
-    if not isinstance(board, Chessboard):
-        return True
-    # The square to the right of a crossing and below it is dark where column + row is even. A turn by 90 degrees brings
-    # it to the side, where it is of the other colour.
-    columns = board.grid[0]
-    number = np.arange(len(turned))
-    before, after = ((index % columns + index // columns) % 2 for index in (number, turned))
-    same = before == after
-    return bool(same.all() if quarter % 2 == 0 else not same.any())
 
 
 def order_of_points(board: Board, pixels: Array) -> Index | None:
@@ -104,7 +60,7 @@ def matches_colours(board: Board, index: Index, dark: NDArray[np.bool_]) -> NDAr
 
 
 def renamed(points: Points, turn: Index) -> Points:
-    """Return the points after a turn of the board (see `turns`), in the order of their new index."""
+    """Return the points after a turn of the board (see `names_alike`), in the order of their new index."""
     index = turn[points.index]
     order = np.argsort(index)
     arrays = {f.name: getattr(points, f.name)[order] for f in fields(points) if f.name not in ("index", "camera")}
