@@ -1,9 +1,15 @@
-"""How many consensuses this good chance alone would give."""
+"""How many transforms this good chance alone would give: by the consensus, by what the consensus did not look at."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 from scipy.special import betainc, gammaln
+
+from planish.geometry import Array, transform_points
+from planish.registration.consensus import CoarseResult
+from planish.registration.matches import Matches
+from planish.registration.verdict.verify import Windows
 
 
 def log10_false_alarms(places: int, all_places: int, chance: float, pairs_in_run: int) -> float:
@@ -19,13 +25,94 @@ def log10_false_alarms(places: int, all_places: int, chance: float, pairs_in_run
     all_places = max(all_places, places)
     n, k = all_places - 2, places - 2
     tests = np.log10(pairs_in_run) + np.log10(all_places * (all_places - 1) / 2)
-    return float(tests + _log10_binomial_tail(k, n, chance))
+    return float(tests + log10_binomial_tail(k, n, chance))
 
 
-def _log10_binomial_tail(k: int, n: int, p: float) -> float:
+def log10_binomial_tail(k: int, n: int, p: float) -> float:
+    """Return log10 of the chance of k or more successes in n trials of chance p each."""
+    if k <= 0:
+        return 0.0
     tail = betainc(k, n - k + 1, p)  # P(X >= k) = I_p(k, n - k + 1)
     if tail > 1e-280:
         return float(np.log10(tail))
     # Below the range of doubles the first term of the tail bounds it within the factor 1 / (1 - p n / k).
     log_term = gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1) + k * np.log(p) + (n - k) * np.log1p(-p)
-    return float(log_term / np.log(10))
+    return float(min(log_term / np.log(10), 0.0))
+
+
+#: The density of places near a place is averaged over this many tolerances.
+_DENSITY_TOLERANCES = 5.0
+
+
+def chance_of_agreement(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> float:
+    """Return the chance that a match that has nothing to do with T_a_b agrees with it all the same.
+
+    Each place of b is taken together with the partners of all other matches: what agrees then does so by chance, with
+    the places as clustered and the orientations as alike as they are (keypoints of a brushed surface share one
+    direction). Not less than the chance for orientations of any direction (`coarse.chance`).
+    """
+    n, options = len(matches), coarse.options
+    if n < 3:
+        return 1.0
+    reach = _DENSITY_TOLERANCES * options.tolerance_mm
+    moved = np.asarray(transform_points(T_a_b, matches.points_b), float)
+    found = cKDTree(matches.points_a).sparse_distance_matrix(cKDTree(moved), reach, output_type="coo_matrix")
+    i, j = found.row, found.col
+    i, j = i[i != j], j[i != j]
+    turned = T_a_b[:3, :3] @ matches.frames_b
+    orientation = (matches.frames_a[i, :, 0] * turned[j, :, 0]).sum(1) >= np.cos(options.frame_angle_rad)
+    normal = (matches.frames_a[i, :, 2] * turned[j, :, 2]).sum(1) >= np.cos(options.normal_angle_rad)
+    density = float((orientation & normal).sum()) / (n * (n - 1))
+    # Half a tolerance of freedom that the fit takes.
+    return float(np.clip(max(density * (1.5 / _DENSITY_TOLERANCES) ** 2, coarse.chance), 1e-12, 1.0))
+
+
+def log10_by_windows(windows: Windows) -> float:
+    """Return log10 of the chance that so many windows agree where the textures have nothing to do with each other.
+
+    Under chance a peak stands anywhere in the search area. Where textures are alike over more than a window (lines,
+    streaks, patterns), peaks come in clusters: numbers are divided by their dispersion.
+    """
+    factor = dispersion(windows)
+    trials = int(np.floor(len(windows) / factor))
+    return log10_binomial_tail(min(trials, int(np.floor(windows.agrees.sum() / factor))), trials, windows.chance)
+
+
+def dispersion(windows: Windows) -> float:
+    """Return how many times the peaks of windows that do not agree cluster beyond chance, at least 1.
+
+    Index of dispersion (variance over mean) of the peaks' numbers in cells as large as the area of agreement.
+    """
+    others = windows.offset_mm[~windows.agrees]
+    # Fewer peaks than cells say nothing about their clustering.
+    cells_a_side = max(1, round(1 / np.sqrt(windows.chance)))
+    if len(others) < cells_a_side**2:
+        return 1.0
+    reach = np.abs(windows.offset_mm).max() + 1e-9
+    counts, _, _ = np.histogram2d(*others.T, bins=cells_a_side, range=[[-reach, reach]] * 2)
+    middle = np.linalg.norm(np.stack(np.meshgrid(*[np.arange(cells_a_side) - (cells_a_side - 1) / 2] * 2)), axis=0)
+    # The cells that the area of agreement touches lack what agrees.
+    counts = counts[middle >= 1.5]
+    mean = counts.mean()
+    # Less than three standard deviations of the index above 1 (sqrt(2 / cells)) is chance.
+    index = float(counts.var(ddof=1) / mean) if mean > 0 else 1.0
+    return index if index > 1 + 3 * np.sqrt(2 / len(counts)) else 1.0
+
+
+def log10_of_product(log10_p: float, log10_q: float) -> float:
+    """Return log10 of the chance that the product of two independent chances is as small (Fisher 1925): x (1 - ln x).
+
+    A number of false alarms serves as a chance where it is below 1: Markov's inequality.
+    """
+    log_x = (min(log10_p, 0.0) + min(log10_q, 0.0)) * np.log(10)
+    return float((log_x + np.log1p(-log_x)) / np.log(10))
+
+
+def log10_transforms(area_mm2: float, agree_mm: float) -> float:
+    """Return log10 of how many transforms of two surfaces of this area windows can tell apart.
+
+    Surfaces that lie on each other leave three freedoms: two shifts over the extent of both, in steps of what counts as
+    agreement, and a turn whose step moves the rim by as much. No search can try more that differ.
+    """
+    extent = max(2 * np.sqrt(max(area_mm2, 0.0)), agree_mm)
+    return float(2 * np.log10(extent / agree_mm) + np.log10(max(np.pi * extent / 2 / agree_mm, 1.0)))
