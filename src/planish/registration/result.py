@@ -62,7 +62,7 @@ class Motion:
     stands_still : bool
         Whether it stands at the same pixels in both captures of one sensor.
     box_a_px, box_b_px : tuple of float
-        Smallest and largest (u, v) of what agrees: u_min, v_min, u_max, v_max.
+        Where it is seen: u_min, v_min, u_max, v_max of the middle 90 % of what agrees, along each axis.
     """
 
     T_a_b: Array
@@ -110,10 +110,7 @@ class PairResult:
     matches: int = 0
     consensus: int = 0
     log10_false_alarms: float = 0.0
-    windows: int = 0
-    windows_agreeing: int = 0
     runner_up: RunnerUp | None = None
-    motions: tuple[Motion, ...] = ()
     observability: tuple[Direction, ...] = ()
     overlap: float | None = None
     overlap_error: OverlapError | None = None
@@ -128,6 +125,9 @@ class PairResult:
     consensus_px: Array = field(default_factory=lambda: np.empty((0, 4)))
     #: The same of all matches.
     matches_px: Array = field(default_factory=lambda: np.empty((0, 4)))
+    windows: int = 0
+    windows_agreeing: int = 0
+    motions: tuple[Motion, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,9 @@ def align(
     return tuple(_align_one(image, len(images_a) > 1, images_b, T_a_b, gate_mm) for image in images_a)
 
 
-def _align_one(a: TextureImage, several: bool, images_b: tuple[TextureImage, ...], T_a_b: Array, gate_mm: float) -> Aligned:
+def _align_one(
+    a: TextureImage, several: bool, images_b: tuple[TextureImage, ...], T_a_b: Array, gate_mm: float
+) -> Aligned:
     own = a.mask & (-a.normal_chart[..., 2] >= _FACING) if several else a.mask
     value, sigma = np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
     source = np.full((*own.shape, 2), np.nan, np.float32)
@@ -94,5 +96,5 @@ def sample(picture: Map, xy: Map) -> Map:
     padded = np.zeros((-(-len(xy) // width) * width, 2), np.float32)
     padded[: len(xy)] = xy
     maps = padded.reshape(-1, width, 2)
-    drawn = cv2.remap(picture, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)  # type: ignore[call-overload]
+    drawn = cv2.remap(picture, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.asarray(drawn.reshape(len(padded), *picture.shape[2:])[: len(xy)])

@@ -89,10 +89,12 @@ def dispersion(windows: Windows) -> float:
     if len(others) < cells_a_side**2:
         return 1.0
     reach = np.abs(windows.offset_mm).max() + 1e-9
-    counts, _, _ = np.histogram2d(*others.T, bins=cells_a_side, range=[[-reach, reach]] * 2)
-    middle = np.linalg.norm(np.stack(np.meshgrid(*[np.arange(cells_a_side) - (cells_a_side - 1) / 2] * 2)), axis=0)
+    column, row = ((others + reach) / (2 * reach) * cells_a_side).astype(int).T
+    all_counts = np.bincount(row * cells_a_side + column, minlength=cells_a_side**2)
+    rows, columns = np.divmod(np.arange(cells_a_side**2), cells_a_side)
     # The cells that the area of agreement touches lack what agrees.
-    counts = counts[middle >= 1.5]
+    middle = (cells_a_side - 1) / 2
+    counts = all_counts[np.hypot(rows - middle, columns - middle) >= 1.5]
     mean = counts.mean()
     # Less than three standard deviations of the index above 1 (sqrt(2 / cells)) is chance.
     index = float(counts.var(ddof=1) / mean) if mean > 0 else 1.0

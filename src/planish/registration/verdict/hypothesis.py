@@ -76,8 +76,10 @@ class Hypothesis:
         return float(np.sqrt(((moved - points_a) ** 2).sum(1).mean()))
 
 
-#: Transforms are fitted to what agrees until no more windows come in, at most so often.
+#: Transforms are fitted to what agrees at most so often.
 _FITS = 3
+#: A smaller change (rms) alters neither which windows agree nor how well [texture px].
+_SETTLED_PX = 0.15
 #: As few agreeing windows as this fix a rigid motion with redundancy.
 _MIN_WINDOWS = 6
 
@@ -131,7 +133,7 @@ def _area_mm2(*sides: tuple[TextureImage, ...]) -> float:
 def _fitted(
     a: Side, b: Side, members: Matches | None, T_a_b: Array, windows: Windows, options: VerifyOptions
 ) -> tuple[Array, Windows]:
-    """Transform fitted to the agreeing windows, as long as more of them come to agree."""
+    """Transform fitted to the agreeing windows, until it settles."""
     for _ in range(_FITS):
         points_a, points_b = _window_points(b.measurement, windows)
         if len(points_a) < _MIN_WINDOWS:
@@ -142,11 +144,10 @@ def _fitted(
             )
         T = fit_rigid(points_a, points_b)
         shift = np.linalg.norm(transform_points(T, points_b) - transform_points(T_a_b, points_b), axis=1)
-        # A change far below what counts as agreement brings no more windows.
-        if shift.max() < 0.25 * options.agree_mm and windows.agrees.mean() > 0.5:
+        if np.sqrt((shift**2).mean()) < _SETTLED_PX * a.images[0].pitch_mm:
             return T, windows
         again = correlate_windows(a.images, b.images, T, options)
-        if again.agrees.sum() <= windows.agrees.sum():
+        if again.agrees.sum() < windows.agrees.sum():
             break
         T_a_b, windows = T, again
     return T_a_b, windows

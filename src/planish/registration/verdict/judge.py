@@ -186,7 +186,8 @@ class _Case:
 
 
 def _box(pixels: Array) -> tuple[float, float, float, float]:
-    low, high = pixels.min(0), pixels.max(0)
+    # The middle 90 %: one window in twenty agrees by chance, wherever it lies.
+    low, high = np.percentile(pixels, [5, 95], axis=0)
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
@@ -202,8 +203,8 @@ def _not_significant(case: _Case, best: Hypothesis, coarse: CoarseResult) -> Jud
     return Judgement(
         "refused",
         f"consensus not significant: {best.places} of {coarse.places} matched places and {best.agreeing} of "
-        f"{len(best.windows)} windows agree, which chance explains (10^{case.alarms(best):.1f} expected in this run, at "
-        f"most 10^{case.options.max_log10_false_alarms:.0f} allowed); "
+        f"{len(best.windows)} windows agree, which chance explains (10^{case.alarms(best):.1f} expected in this run, "
+        f"at most 10^{case.options.max_log10_false_alarms:.0f} allowed); "
         + reasons.why_nothing(case.a.images, case.b.images),
     )
 
@@ -225,9 +226,7 @@ def _judge_moving(case: _Case, moving: list[Hypothesis], unmoving: list[Hypothes
         return replace(verdict, judgement=Judgement("ambiguous", reason), motions=motions)
     if unmoving:
         verdict = _beside_what_stands_still(case, verdict, first, unmoving[0])
-    sight = line_of_sight(
-        case.a.measurement, case.b.measurement, first.T_a_b, options.verify.gate_mm, verdict.without
-    )
+    sight = line_of_sight(case.a.measurement, case.b.measurement, first.T_a_b, options.verify.gate_mm, verdict.without)
     if sight.conflict > options.max_conflict_share:
         return replace(verdict, judgement=_contradiction(sight, first))
     return verdict
@@ -235,8 +234,8 @@ def _judge_moving(case: _Case, moving: list[Hypothesis], unmoving: list[Hypothes
 
 def _accepted(case: _Case, first: Hypothesis) -> str:
     return (
-        f"{first.places} of {len(case.matches)} matches agree at places of their own, and {first.agreeing} of "
-        f"{len(first.windows)} windows of the predicted overlap (10^{case.alarms(first):.0f} by chance)"
+        f"{first.places} matched places and {first.agreeing} of {len(first.windows)} windows of the predicted overlap agree "
+        f"(10^{case.alarms(first):.0f} by chance)"
     )
 
 
@@ -244,8 +243,8 @@ def _beside_what_stands_still(case: _Case, verdict: Verdict, first: Hypothesis, 
     shapes = (case.a.measurement.shape, case.b.measurement.shape)
     half_px = case.options.verify.window_mm / 2 / ground_sample_distance(case.a.measurement)
     note = (
-        f"; {reasons.support(unmoved)} stood still in the image (background, or the sensor's own pattern) and were left "
-        "out"
+        f"; {reasons.support(unmoved)} stood still in the image (background, or the sensor's own pattern) and "
+        "were left out"
     )
     return replace(
         verdict,
@@ -264,6 +263,7 @@ def _rival(case: _Case, moving: list[Hypothesis]) -> tuple[Hypothesis, Hypothesi
         as_hypothesis(case.a, case.b, T, options.verify)
         for T in rival_transforms(case.a.images, case.b.images, first.T_a_b, apart_mm)
     ]
+    equal: list[tuple[Hypothesis, Rivalry]] = []
     for other in [*moving[1:], *suggested]:
         if case.same(first, other):
             continue
@@ -274,18 +274,30 @@ def _rival(case: _Case, moving: list[Hypothesis]) -> tuple[Hypothesis, Hypothesi
                 return first, other, Rivalry("two motions", 0, other.agreeing, 0.0)
             continue
         if rivalry.relation == "other":
-            first = other
-        elif rivalry.relation != "first":
+            first, equal = other, []
+        elif rivalry.relation == "two motions":
             return first, other, rivalry
-    return first, None, None
+        elif rivalry.relation == "repeats":
+            equal.append((other, rivalry))
+    if not equal:
+        return first, None, None
+    # Of a lattice of repetitions the nearest tells the period.
+    return first, *min(equal, key=lambda item: _distance(case, first, item[0]))
+
+
+def _distance(case: _Case, first: Hypothesis, other: Hypothesis) -> float:
+    """How far apart two motions are, a turn counted at the rim of b [mm]."""
+    points = case.matches.points_b
+    rotation, shift = apart(first, other, points.mean(0))
+    return shift + rotation * float(np.linalg.norm(np.ptp(points, axis=0))) / 2
 
 
 def _contradiction(sight: Sight, first: Hypothesis) -> Judgement:
     return Judgement(
         "refused",
-        f"geometry contradicts the texture: over {100 * sight.conflict:.0f} % of the overlap that {reasons.support(first)} "
-        "suggest, the surfaces pierce or hide one another; were both captures taken of the same part in the same state, "
-        "and is the calibration right",
+        f"geometry contradicts the texture: over {100 * sight.conflict:.0f} % of the overlap that "
+        f"{reasons.support(first)} suggest, the surfaces pierce or hide one another: check that both captures show the "
+        "same part in the same state, and the calibration",
     )
 
 
@@ -302,6 +314,13 @@ def judge_refined(
     """
     if refined is None:
         return Judgement("refused", "the surfaces do not overlap under the transform that the texture suggests")
+    if unmoved_mm is not None and not still.geometry_stands_still(directions, unmoved_mm):
+        return Judgement(
+            "refused",
+            "the agreeing texture stands still in the image: it belongs to the sensor (pixel response, dust), to a "
+            "background that does not move with the part, or the part was not moved between the captures; its surface "
+            "alone does not tell which (a plane slides unseen): move the part or the sensor by more than a few pixels",
+        )
     e = refined.equations
     conflict = e.conflicts / max(1, e.conflicts + e.points)
     if conflict > options.max_conflict_share:
@@ -309,13 +328,6 @@ def judge_refined(
             "refused",
             f"geometry contradicts the texture: over {100 * conflict:.0f} % of the overlap the surfaces pierce or hide "
             "one another",
-        )
-    if unmoved_mm is not None and not still.geometry_stands_still(directions, unmoved_mm):
-        return Judgement(
-            "refused",
-            "the agreeing texture stands still in the image: it belongs to the sensor (pixel response, dust), to a "
-            "background that does not move with the part, or the part was not moved between the captures; its surface "
-            "alone does not tell which (a plane slides unseen): move the part or the sensor by more than a few pixels",
         )
     if drift_mm > options.max_drift_mm:
         return Judgement(

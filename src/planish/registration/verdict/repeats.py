@@ -18,8 +18,10 @@ from planish.registration.verdict.aligned import compose_chart
 
 #: Rivals whose peak is lower than this share of the transform's own explain less than a window test could tell.
 _MIN_SHARE = 0.3
-#: Most rivals that are tried.
-_MAX_RIVALS = 3
+#: Repetitions differ in height by how much of the texture they still share.
+_COMPARABLE = 0.5
+#: Most peaks that are looked at, and rivals that are tried, per quarter turn.
+_MAX_PEAKS, _MAX_RIVALS_PER_TURN = 24, 2
 #: Charts are reduced to at most this many pixels a side: a pattern that repeats is coarser than the grain.
 _MAX_SIDE_PX = 384
 
@@ -43,32 +45,44 @@ def rival_transforms(
     into_a = invert(compose_chart(b, T_a_b, a))
     middle = _middle(b, into_a)
     F_a = fft.rfft2(canvas_a)
-    found: list[tuple[float, Array]] = []
+    reach = max(1, round(apart_mm / pitch))
+    chosen: list[tuple[float, float, Array]] = []
     own = 0.0
     for quarter in range(4):
         turn = translation(middle) @ compose(exp_so3([0, 0, quarter * np.pi / 2]), np.zeros(3)) @ translation(-middle)
         surface = _phase_correlation(F_a, _canvas(b, turn @ into_a, pitch, size))
-        reach = max(1, round(apart_mm / pitch))
         if quarter == 0:
-            around = np.roll(surface, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1]
-            own = float(around.max())
-            for rows in (np.s_[: reach + 1], np.s_[-reach:]):
-                for columns in (np.s_[: reach + 1], np.s_[-reach:]):
-                    surface[rows, columns] = -np.inf
-        for _ in range(2):
-            row, column = np.unravel_index(int(np.argmax(surface)), surface.shape)
-            height = float(surface[row, column])
-            shift = [(int(n) + size // 2) % size - size // 2 for n in (column, row)]
-            moved = translation([shift[0] * pitch, shift[1] * pitch, 0.0]) @ turn @ into_a
-            found.append((height, moved))
-            surface[np.ix_(*(np.arange(n - reach, n + reach + 1) % size for n in (row, column)))] = -np.inf
-    found.sort(key=lambda item: -item[0])
+            own = float(_taken_out(surface, 0, 0, reach))
+        peaks = _peaks(surface, reach, _MIN_SHARE * own) if own > 0 else []
+        found = [
+            (height, float(np.hypot(*shift)), translation([shift[0] * pitch, shift[1] * pitch, 0.0]) @ turn @ into_a)
+            for height, shift in peaks
+        ]
+        # Of a lattice of repetitions the nearest tells the period; of turned ones the best fit counts.
+        chosen += sorted(found, key=lambda item: item[1] if quarter == 0 else -item[0])[:_MAX_RIVALS_PER_TURN]
     T_sensor_chart = invert(a.T_chart_sensor)
-    return [
-        T_sensor_chart @ moved @ b.T_chart_sensor
-        for height, moved in found[:_MAX_RIVALS]
-        if own > 0 and height >= _MIN_SHARE * own
-    ]
+    return [T_sensor_chart @ moved @ b.T_chart_sensor for _, _, moved in chosen]
+
+
+def _peaks(surface: Map, reach: int, lowest: float) -> list[tuple[float, tuple[int, int]]]:
+    """Highest peaks (height, shift (x, y)) that stand out from the highest of them; takes them out of the surface."""
+    size, found = len(surface), []
+    for _ in range(_MAX_PEAKS):
+        row, column = (int(n) for n in np.unravel_index(int(np.argmax(surface)), surface.shape))
+        height = _taken_out(surface, row, column, reach)
+        if height < lowest or (found and height < _COMPARABLE * found[0][0]):
+            break
+        shift = [(n + size // 2) % size - size // 2 for n in (column, row)]
+        found.append((height, (shift[0], shift[1])))
+    return found
+
+
+def _taken_out(surface: Map, row: int, column: int, reach: int) -> float:
+    """Maximum within `reach` of a place of the periodic surface; what lies there is taken out."""
+    around = np.ix_(*(np.arange(n - reach, n + reach + 1) % len(surface) for n in (row, column)))
+    height = float(surface[around].max())
+    surface[around] = -np.inf
+    return height
 
 
 def _canvas(image: TextureImage, T_canvas_chart: Array, pitch_mm: float, size: int) -> Map:

@@ -8,6 +8,7 @@ transform says; where they do not, they stand anywhere.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from scipy import fft
 from scipy.spatial import cKDTree
 
 from planish.geometry import Array, invert, transform_points
+from planish.measurement import Map
 from planish.options import Options
 from planish.registration.texture.resample import TextureImage
 from planish.registration.verdict.aligned import Aligned, align, sample
@@ -52,8 +54,8 @@ class Windows:
     offset_mm : ndarray (n, 2)
         Position of the correlation's peak on a's chart, relative to what the transform predicts.
     score : ndarray (n,)
-        Height of the best correlation within `agree_mm` of the prediction, in standard deviations of the window's
-        correlation over the search area.
+        Best correlation coefficient within `agree_mm` of the prediction, of the textures as the matched filter weighs
+        their frequencies.
     agrees : ndarray (n,) bool
         Whether the peak lies within `agree_mm`.
     chance : float
@@ -133,9 +135,12 @@ def _refined_peak(surface: Array, peak: NDArray[np.intp], search: int) -> Array:
         return np.where(bend < 0, 0.5 * (before - after) / np.minimum(bend, -1e-12), 0.0).clip(-0.5, 0.5)
 
     padded = np.pad(surface, ((0, 0), (1, 1), (1, 1)), mode="edge")
-    at = lambda dr, dc: padded[n, row + 1 + dr, column + 1 + dc]  # noqa: E731
-    fraction = [vertex(at(0, -1), at(0, 0), at(0, 1)), vertex(at(-1, 0), at(0, 0), at(1, 0))]
-    return np.column_stack([column - search, row - search]) + np.column_stack(fraction)
+    cross = ((0, -1), (0, 1), (-1, 0), (1, 0))
+    left, right, above, below = (padded[n, row + 1 + dr, column + 1 + dc] for dr, dc in cross)
+    top = padded[n, row + 1, column + 1]
+    return np.column_stack(
+        [column - search + vertex(left, top, right), row - search + vertex(above, top, below)]
+    )  # fmt: skip
 
 
 def _places(
@@ -171,8 +176,8 @@ def _size_px(images: tuple[TextureImage, ...], options: VerifyOptions) -> tuple[
 class _Cut:
     """Windows (n, N, N) of a (0 outside the window itself) and b, the noise variance, the middle (row, column)."""
 
-    a: Array
-    b: Array
+    a: Map
+    b: Map
     noise: Array
     centre: NDArray[np.int64]
 
@@ -193,7 +198,7 @@ def _cut(chart: Aligned, options: VerifyOptions) -> _Cut:
         return _Cut(nothing, nothing, np.empty((0, 2)), centre)
     at = (row - search, column - search)
 
-    def windows(picture: Array, select: NDArray[np.bool_] | slice = slice(None)) -> Array:
+    def windows(picture: NDArray[Any], select: NDArray[np.bool_] | slice = slice(None)) -> NDArray[Any]:
         return np.lib.stride_tricks.sliding_window_view(picture, (size, size))[at[0][select], at[1][select]]
 
     inner = np.s_[:, search : search + window, search : search + window]
@@ -213,26 +218,29 @@ def _cut(chart: Aligned, options: VerifyOptions) -> _Cut:
     return _Cut(only, b, noise, centre[keep])
 
 
-def _clipped(values: Array) -> Array:
+def _clipped(values: Map) -> Map:
     if len(values) == 0:
         return values
     limit = 4 * 1.4826 * np.median(np.abs(values), axis=(1, 2), keepdims=True)
-    return np.clip(values, -limit, limit)
+    return np.asarray(np.clip(values, -limit, limit))
 
 
-def _correlation(a: Array, b: Array, noise: Array, window: int, search: int) -> tuple[Array, Array]:
-    """Matched filter of n windows over their search areas (n, 2 search + 1, 2 search + 1), each of unit deviation.
+def _correlation(a: Map, b: Map, noise: Array, window: int, search: int) -> tuple[Array, Array]:
+    """Matched filter of n windows over their search areas (n, 2 search + 1, 2 search + 1), as a coefficient.
 
     Weighted by signal over power of both spectra, S / (P_a P_b): the likelihood ratio of a common weak signal in
     coloured noise (Van Trees, Detection, Estimation and Modulation Theory I, section 4.3); the mean periodogram of all
     windows serves for P, and S is what of it the known noise of the cameras does not explain.
     """
-    F_a, F_b = fft.rfft2(a), fft.rfft2(b)
     size = a.shape[1]
+    F_a, F_b = fft.rfft2(a), fft.rfft2(b)
     power_a = _smooth((np.abs(F_a) ** 2).mean(0)) / window**2
     power_b = _smooth((np.abs(F_b) ** 2).mean(0)) / size**2
     noise_a, noise_b = noise.mean(0)
-    signal = np.sqrt(np.maximum(power_a - noise_a, 0) * np.maximum(power_b - noise_b, 0))
+    # Resampling takes noise away at high frequencies: a part of the power always counts as signal.
+    signal = np.sqrt(
+        np.maximum(power_a - noise_a, _LEAST_SIGNAL * power_a) * np.maximum(power_b - noise_b, _LEAST_SIGNAL * power_b)
+    )
     floor_a, floor_b = (1e-3 * p.mean() + 1e-30 for p in (power_a, power_b))
     weight = signal / ((power_a + floor_a) * (power_b + floor_b))
     weight[0, 0] = 0.0
@@ -240,11 +248,19 @@ def _correlation(a: Array, b: Array, noise: Array, window: int, search: int) -> 
     # Shifts -search ... search: b's window begins `search` px before a's.
     index = np.arange(-search, search + 1)
     surface = surface[:, index[:, None], index[None, :]]
-    surface /= np.sqrt((surface**2).mean((1, 2), keepdims=True)) + 1e-30
+    # Coefficient of the weighted textures; b's share of its whole window's energy is that of the area.
+    twice = np.full(weight.shape, 2.0)
+    twice[:, 0] = 1.0
+    energy_a, energy_b = ((np.abs(F) ** 2 * (weight * twice)).sum((1, 2)) / size**2 for F in (F_a, F_b))
+    surface /= (np.sqrt(energy_a * energy_b) * window / size)[:, None, None] + 1e-30
     variance_a = (a**2).sum((1, 2)) / window**2
     variance_b = (b**2).mean((1, 2))
-    share = [np.clip(1 - n / np.maximum(v, 1e-30), 0, 1) for n, v in zip(noise.T, (variance_a, variance_b), strict=True)]
-    return surface, np.sqrt(share[0] * share[1])
+    variance = np.maximum(np.column_stack([variance_a, variance_b]), 1e-30)
+    return surface, np.sqrt(np.clip(1 - noise / variance, 0, 1).prod(1))
+
+
+#: Share of the power that counts as signal at least.
+_LEAST_SIGNAL = 0.03
 
 
 def _smooth(power: Array) -> Array:
