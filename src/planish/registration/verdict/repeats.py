@@ -66,7 +66,8 @@ def rival_transforms(
 
 def _peaks(surface: Map, reach: int, lowest: float) -> list[tuple[float, tuple[int, int]]]:
     """Highest peaks (height, shift (x, y)) that stand out from the highest of them; takes them out of the surface."""
-    size, found = len(surface), []
+    size = len(surface)
+    found: list[tuple[float, tuple[int, int]]] = []
     for _ in range(_MAX_PEAKS):
         row, column = (int(n) for n in np.unravel_index(int(np.argmax(surface)), surface.shape))
         height = _taken_out(surface, row, column, reach)
