@@ -69,7 +69,9 @@ def sensor_pattern(prnu=0.005, spots=10):
     rng = np.random.default_rng(11)
     pattern = 1 + prnu * rng.standard_normal((height, width))
     v, u = np.mgrid[:height, :width]
-    for cu, cv, size in zip(rng.uniform(0, width, spots), rng.uniform(0, height, spots), rng.uniform(2, 5, spots), strict=True):
+    for cu, cv, size in zip(
+        rng.uniform(0, width, spots), rng.uniform(0, height, spots), rng.uniform(2, 5, spots), strict=True
+    ):
         pattern *= 1 - 0.2 * np.exp(-((u - cu) ** 2 + (v - cv) ** 2) / (2 * size**2))
     return pattern
 

@@ -49,6 +49,8 @@ class Hypothesis:
         Of the common region that the motion predicts.
     log10_false_alarms : float
         Expected number of motions this good by chance, in one pair.
+    log10_by_windows : float
+        The same by all its windows alone, against all transforms there are.
     moved_px : float
         Median motion in the image of what agrees.
     """
@@ -59,6 +61,7 @@ class Hypothesis:
     points_a: Array
     windows: Windows
     log10_false_alarms: float
+    log10_by_windows: float
     moved_px: float
 
     @property
@@ -78,6 +81,8 @@ class Hypothesis:
 
 #: Transforms are fitted to what agrees at most so often.
 _FITS = 3
+#: Windows are fitted to where they agree so many times more often than by chance: else chance would draw the fit.
+_CREDIBLE = 3.0
 #: A smaller change (rms) alters neither which windows agree nor how well [texture px].
 _SETTLED_PX = 0.15
 #: As few agreeing windows as this fix a rigid motion with redundancy.
@@ -113,7 +118,7 @@ def weigh(
         # No evidence: the consensus alone says how far from significance it is.
         alarms = max(alarms, by_matches)
     return Hypothesis(
-        T, candidate.members, candidate.places, matches.points_a[candidate.members], windows, alarms,
+        T, candidate.members, candidate.places, matches.points_a[candidate.members], windows, alarms, exhaustive,
         _moved_px(matches, candidate.members, windows),
     )  # fmt: skip
 
@@ -123,7 +128,9 @@ def as_hypothesis(a: Side, b: Side, T_a_b: Array, options: VerifyOptions) -> Hyp
     windows = correlate_windows(a.images, b.images, T_a_b, options)
     T, windows = _fitted(a, b, None, T_a_b, windows, options)
     alarms = log10_by_windows(windows) + log10_transforms(_area_mm2(a.images, b.images), options.agree_mm)
-    return Hypothesis(T, np.empty(0, np.int64), 0, np.empty((0, 3)), windows, alarms, _moved_px(None, None, windows))
+    return Hypothesis(
+        T, np.empty(0, np.int64), 0, np.empty((0, 3)), windows, alarms, alarms, _moved_px(None, None, windows)
+    )
 
 
 def _area_mm2(*sides: tuple[TextureImage, ...]) -> float:
@@ -136,7 +143,7 @@ def _fitted(
     """Transform fitted to the agreeing windows, until it settles."""
     for _ in range(_FITS):
         points_a, points_b = _window_points(b.measurement, windows)
-        if len(points_a) < _MIN_WINDOWS:
+        if len(points_a) < max(_MIN_WINDOWS, _CREDIBLE * windows.chance * len(windows)):
             break
         if members is not None:
             points_a, points_b = (

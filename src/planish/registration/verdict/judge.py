@@ -234,8 +234,8 @@ def _judge_moving(case: _Case, moving: list[Hypothesis], unmoving: list[Hypothes
 
 def _accepted(case: _Case, first: Hypothesis) -> str:
     return (
-        f"{first.places} matched places and {first.agreeing} of {len(first.windows)} windows of the predicted overlap agree "
-        f"(10^{case.alarms(first):.0f} by chance)"
+        f"{first.places} matched places and {first.agreeing} of {len(first.windows)} windows of the predicted overlap "
+        f"agree (10^{case.alarms(first):.0f} by chance)"
     )
 
 
@@ -314,7 +314,7 @@ def judge_refined(
     """
     if refined is None:
         return Judgement("refused", "the surfaces do not overlap under the transform that the texture suggests")
-    if unmoved_mm is not None and not still.geometry_stands_still(directions, unmoved_mm):
+    if unmoved_mm is not None and not still.geometry_stands_still(refined, unmoved_mm):
         return Judgement(
             "refused",
             "the agreeing texture stands still in the image: it belongs to the sensor (pixel response, dust), to a "

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from planish.geometry import Array, rotation_angle, transform_points
-from planish.registration.verdict.false_alarms import dispersion, log10_binomial_tail, log10_by_windows
+from planish.registration.verdict.false_alarms import dispersion, log10_binomial_tail
 from planish.registration.verdict.hypothesis import Hypothesis
 
 #: "repeats": both explain the same places equally well; "two motions": each explains places of its own; "first",
@@ -44,7 +44,7 @@ def compare(first: Hypothesis, other: Hypothesis, log10_significant: float) -> R
     that repeats exactly each is as good as the other, while grain between the print, or a texture that only resembles
     itself, speaks for one.
     """
-    if log10_by_windows(other.windows) > log10_significant:
+    if other.log10_by_windows > log10_significant:
         return Rivalry("weak", 0, other.agreeing, 0.0)
     _, i, j = np.intersect1d(first.windows.cell, other.windows.cell, return_indices=True)
     agrees, agrees_other = first.windows.agrees[i], other.windows.agrees[j]

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from planish.geometry import Array
 from planish.measurement import Measurement
 from planish.registration.matches import Matches
-from planish.registration.result import Direction
+from planish.registration.refine.solve import Refined
 from planish.registration.verdict.hypothesis import Hypothesis
 
 
@@ -27,19 +27,23 @@ def standing_still(matches: Matches, still_px: float) -> NDArray[np.bool_]:
     return np.asarray(moved < still_px)
 
 
-def geometry_stands_still(directions: tuple[Direction, ...], still_mm: float) -> bool:
+def geometry_stands_still(refined: Refined, still_mm: float) -> bool:
     """Return whether the surfaces alone, without texture, prove that nothing moved by `still_mm`.
 
-    A sensor's own pattern agrees whatever the part did; but surfaces that hold every direction agree only where the
-    part is. A plate holds three directions of six, whatever its texture.
+    A sensor's own pattern agrees whatever the part did, and so do its own small errors of the surface; but where any
+    motion by `still_mm` would part the surfaces by three standard deviations of a single pixel's distance (rms over the
+    overlap), they agree only where the part is. Averages over pixels do not count: errors of the sensor do not average.
     """
-    if not directions:
-        return False
-    share = np.array([d.texture_share for d in directions])
-    sigma = np.array([d.sigma_mm for d in directions])
-    # The variance is inverse to the information; the surfaces have 1 - share of it. Three standard deviations.
-    alone = sigma / np.sqrt(np.maximum(1 - share, 1e-12))
-    return bool((3 * alone < still_mm).all())
+    e, weights = refined.equations, refined.weights
+    scale = np.array([refined.lever_mm] * 3 + [1.0] * 3)
+    # Sum of the squared changes of distance by 1 mm at the rim, in units of the residuals' variance.
+    H = e.H_distance_unbiased / np.outer(scale, scale) / max(weights.distance, 1e-30)
+    least = max(float(np.linalg.eigvalsh((H + H.T) / 2)[0]), 0.0) / max(e.points, 1)
+    return still_mm * np.sqrt(least) > _SIGMAS * weights.scale_distance_mm
+
+
+#: Surfaces part visibly by so many standard deviations of a pixel's distance.
+_SIGMAS = 3.0
 
 
 def left_out(
