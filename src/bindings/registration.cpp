@@ -129,7 +129,8 @@ planish::JointOptions joint_options(const nb::tuple& options) {
 }
 
 /// Maps a, camera a, maps b: see planish::JointMaps. Returns normal equations of distance and texture, the unbiased
-/// information of both, correlation, number of conflicts, tile gradients (rows, columns, 6) and, if asked for, the
+/// information of both, correlation, number of conflicts, tile gradients (rows, columns, 6 of the
+/// distance and 6 of the texture) and, if asked for, the
 /// residual maps.
 nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
                                  const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
@@ -148,9 +149,9 @@ nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& c
                                                  with_residuals ? distances.image : none,
                                                  with_residuals ? differences.image : none);
     }
-    Owned<double> tiles(result.tile_rows, result.tile_columns, 6);
+    Owned<double> tiles(result.tile_rows, result.tile_columns, 12);
     for (std::size_t i = 0; i < result.tile_gradients.size(); ++i)
-        std::copy_n(result.tile_gradients[i].data(), 6, tiles.image.data + 6 * i);
+        std::copy_n(result.tile_gradients[i].data(), 12, tiles.image.data + 12 * i);
     const auto& s = result.sums;
     const double norm = std::sqrt(s.correlation_aa * s.correlation_bb);
     return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_distance_unbiased),
