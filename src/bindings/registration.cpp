@@ -39,21 +39,21 @@ nb::tuple chart_coordinates(const In<float, 3>& points, const In<float, 3>& node
     return nb::make_tuple(coordinates.maps(), nb::make_tuple(extent.left, extent.top, extent.right, extent.bottom));
 }
 
-nb::tuple sample_chart(const In<float, 3>& source, const In<float, 3>& points, const In<float, 3>& normals,
-                       const In<float, 3>& nodes, int step, int threads) {
+nb::tuple chart_surface(const In<float, 3>& source, const In<float, 3>& points, const In<float, 3>& normals,
+                        const In<float, 3>& nodes, int step, int threads) {
     const auto raster = view<float, 3>(source);
     Owned<float> on(raster.height, raster.width, 3), normal(raster.height, raster.width, 3),
         axis(raster.height, raster.width, 3);
     {
         nb::gil_scoped_release release;
-        planish::sample_chart(raster, view<float, 3>(points), view<float, 3>(normals), view<float, 3>(nodes), step,
-                              {on.image, normal.image, axis.image}, threads);
+        planish::chart_surface(raster, view<float, 3>(points), view<float, 3>(normals), view<float, 3>(nodes), step,
+                               {on.image, normal.image, axis.image}, threads);
     }
     return nb::make_tuple(on.maps(), normal.maps(), axis.maps());
 }
 
-Out<float, 3> rasterise_chart(const In<float, 3>& coordinates, double x, double y, double pitch,
-                                              double max_edge, int height, int width) {
+Out<float, 3> rasterise_chart(const In<float, 3>& coordinates, double x, double y, double pitch, double max_edge,
+                              int height, int width) {
     Owned<float> source(height, width, 2);
     {
         nb::gil_scoped_release release;
@@ -224,7 +224,7 @@ void bind_registration(nb::module_& m) {
     m.def("chart_coordinates", &chart_coordinates, "points"_a, "nodes"_a, "step"_a, "max_height"_a, "threads"_a);
     m.def("rasterise_chart", &rasterise_chart, "coordinates"_a, "x"_a, "y"_a, "pitch"_a, "max_edge"_a, "height"_a,
           "width"_a);
-    m.def("sample_chart", &sample_chart, "source"_a, "points"_a, "normals"_a, "nodes"_a, "step"_a, "threads"_a);
+    m.def("chart_surface", &chart_surface, "source"_a, "points"_a, "normals"_a, "nodes"_a, "step"_a, "threads"_a);
     m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
           "frame_angle"_a, "normal_angle"_a, "min_baseline"_a, "seeds"_a, "partners"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,

@@ -105,8 +105,8 @@ ChartExtent chart_coordinates(const Image<const float>& points, const Image<cons
                 const auto sum = blend<13>(nodes, row, columns[u]);
                 std::array<float, 3> at;
                 for (int i = 0; i < 3; ++i)
-                    at[i] = (sum[1 + 3 * i] * p[0] + sum[2 + 3 * i] * p[1] + sum[3 + 3 * i] * p[2] + sum[10 + i]) /
-                            sum[0];
+                    at[i] =
+                        (sum[1 + 3 * i] * p[0] + sum[2 + 3 * i] * p[1] + sum[3 + 3 * i] * p[2] + sum[10 + i]) / sum[0];
                 const bool ours = std::fabs(at[2]) <= max_height;  // false for NaN
                 out[0] = ours ? at[0] : nan;
                 out[1] = ours ? at[1] : nan;
@@ -147,8 +147,9 @@ void rasterise_chart(const Image<const float>& coordinates, const ChartRaster& r
     }
 }
 
-void sample_chart(const Image<const float>& source, const Image<const float>& points, const Image<const float>& normals,
-                  const Image<const float>& nodes, int step, const ChartSurface& out, int threads) {
+void chart_surface(const Image<const float>& source, const Image<const float>& points,
+                   const Image<const float>& normals, const Image<const float>& nodes, int step,
+                   const ChartSurface& out, int threads) {
     constexpr float nan = std::numeric_limits<float>::quiet_NaN();
     parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {
         for (int y = static_cast<int>(first); y < static_cast<int>(last); ++y)

@@ -12,9 +12,9 @@ struct ChartExtent {
 /// Where each pixel of a camera lies on an unrolled surface [mm]; NaN where the surface is not that of the chart.
 ///
 /// `nodes` (rows, columns, 13) holds, every `step` pixels from pixel (step / 2, step / 2) on: 1 (0 = no node), the axes
-/// x, y and normal, and three offsets, so that a point X nearby lies at axes X + offsets = (x, y, height). A pixel takes
-/// the weighted mean of the four nodes around it. Points higher than `max_height` above or below that are not of this
-/// surface.
+/// x, y and normal, and three offsets, so that a point X nearby lies at axes X + offsets = (x, y, height). A pixel
+/// takes the weighted mean of the four nodes around it. Points higher than `max_height` above or below that are not of
+/// this surface.
 ChartExtent chart_coordinates(const Image<const float>& points, const Image<const float>& nodes, int step,
                               double max_height, const Image<float>& coordinates, int threads);
 
@@ -35,7 +35,8 @@ void rasterise_chart(const Image<const float>& coordinates, const ChartRaster& r
 struct ChartSurface {
     Image<float> points, normals, x_axis;  ///< (h, w, 3)
 };
-void sample_chart(const Image<const float>& source, const Image<const float>& points, const Image<const float>& normals,
-                  const Image<const float>& nodes, int step, const ChartSurface& out, int threads);
+void chart_surface(const Image<const float>& source, const Image<const float>& points,
+                   const Image<const float>& normals, const Image<const float>& nodes, int step,
+                   const ChartSurface& out, int threads);
 
 }  // namespace planish

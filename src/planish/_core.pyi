@@ -26,7 +26,7 @@ def chart_coordinates(
 def rasterise_chart(
     coordinates: F32, x: float, y: float, pitch: float, max_edge: float, height: int, width: int
 ) -> F32: ...
-def sample_chart(
+def chart_surface(
     source: F32, points: F32, normals: F32, nodes: F32, step: int, threads: int
 ) -> tuple[F32, F32, F32]: ...
 def find_consensus(

@@ -63,7 +63,7 @@ def _detect(image: TextureImage, chart: int, options: KeypointOptions, count: in
     angle = np.deg2rad([k.angle for k in found])
     # A keypoint whose place cannot be interpolated stands at the rim of the surface.
     points, frames, pixels = image.locate(xy, angle)
-    inside = np.isfinite(points).all(1) & np.isfinite(frames).all((1, 2))
+    inside: NDArray[np.bool_] = np.isfinite(points[:, 0])
     # Strongest first; position breaks ties, so that the order does not depend on the detector's threads.
     response = np.array([k.response for k in found])
     order = np.lexsort((angle, xy[:, 0], xy[:, 1], -response))

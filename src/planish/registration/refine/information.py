@@ -1,8 +1,8 @@
 """What distances and textures together say about a change of the transform, and about which directions they say it.
 
-The gradient of a noisy surface or texture points somewhere even where the true one vanishes: J'J then claims a hold that
-does not exist. The product of both sides' gradients, whose noise is independent, is free of that. Here the joint cost is
-solved with the latter, and distances count along each direction by the share of their J'J that is no noise: along a
+The gradient of a noisy surface or texture points somewhere even where the true one vanishes: J'J then claims a hold
+that does not exist. The product of both sides' gradients, whose noise is independent, is free of that. The joint cost
+is solved with the latter, and distances count along each direction by the share of their J'J that is no noise: along a
 pipe or a plane that share vanishes, and what the rim of a surface does to its normals pulls nothing there.
 """
 
@@ -77,7 +77,7 @@ def held_directions(info: Information, max_sigma_mm: float) -> tuple[Array, Arra
 
 
 def _trusted(plain: Array, unbiased: Array) -> tuple[Array, Array]:
-    """Return the matrix that weights a gradient by the share of its information that is no noise, and what it then says.
+    """Return the matrix that weights a gradient by the share of its information that is no noise, and what is left.
 
     In the directions u with u' plain u = 1 that also diagonalise `unbiased`, its share s weights the gradient's part:
     of all weights that one gives the least variance, the part's sensitivity being s and its own variance 1.

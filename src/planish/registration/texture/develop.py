@@ -1,7 +1,8 @@
 """Unrolling a piece of surface into the plane: lengths and angles stay wherever the surface is developable.
 
-Sheet metal is nearly so. Two captures of it then give pictures that differ by a turn and a shift, whatever the curvature
-and the direction they were taken from. A surface of double curvature is stretched as little as least squares can.
+Sheet metal is nearly so. Two captures of it then give pictures that differ by a turn and a shift, whatever the
+curvature and the direction they were taken from. A surface of double curvature is stretched as little as least squares
+can.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def unroll(nodes: Nodes, x_hint: Array) -> tuple[Array, Array, Array]:
 
     The axes are a field of tangents as parallel as the surface allows: where it is developable they are parallel
     (Levi-Civita), their projections of the surface's steps add up to zero around every loop, and the coordinates are
-    exact. Both the turns of the axes and the coordinates are least squares over all edges, with one and the same matrix.
+    exact. Both the turns of the axes and the coordinates are least squares over all edges, with the same matrix.
 
     Parameters
     ----------
@@ -127,25 +128,27 @@ def unroll(nodes: Nodes, x_hint: Array) -> tuple[Array, Array, Array]:
     angle -= np.median(angle)
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     axes = np.stack([cosine * x + sine * y, cosine * y - sine * x], 1)
-    steps = _arcs(nodes)
+    arcs, steps = _arcs(nodes)
     projected = 0.5 * np.einsum("eki,ei->ek", axes[i] + axes[j], steps)
     coordinates = np.stack([solve(projected[:, 0]), solve(projected[:, 1])], 1)
     length = np.linalg.norm(coordinates[j] - coordinates[i], axis=1)
-    return coordinates, axes, length / np.linalg.norm(steps, axis=1) - 1
+    return coordinates, axes, length / np.linalg.norm(arcs, axis=1) - 1
 
 
-def _arcs(nodes: Nodes) -> Array:
-    """Steps (E, 3) along the edges, lengthened so that their projection on the mean tangent is the arc, not the chord.
+def _arcs(nodes: Nodes) -> tuple[Array, Array]:
+    """Return steps (E, 3) along the edges, of the length of their arcs, and those whose projections are that long.
 
-    On a circle that turns by t between two nodes, the mean of the unit tangents projects the chord to sin(t) radii.
+    Where the normal turns by t from node to node, on a circle, the chord is sin(t / 2) / (t / 2) of the arc, and what
+    the mean of the unit tangents sees of the chord is cos(t / 2) of that.
     """
     i, j = nodes.edges.T
     d, bend = nodes.points[j] - nodes.points[i], nodes.normals[j] - nodes.normals[i]
     size = np.linalg.norm(bend, axis=1)
     turn = 2 * np.arcsin(np.minimum(size / 2, 1))
-    longer = 1 / np.sinc(turn / np.pi) - 1
     across = bend / np.maximum(size, 1e-12)[:, None]
-    return np.asarray(d + (longer * _dot(d, across))[:, None] * across)
+    chord = _dot(d, across)[:, None] * across
+    arc, projectable = (1 / np.sinc(x / np.pi) - 1 for x in (turn / 2, turn))
+    return d + arc[:, None] * chord, d + projectable[:, None] * chord
 
 
 def _sums_over_edges(edges: NDArray[np.int64], count: int) -> Callable[[Array], Array]:

@@ -90,7 +90,8 @@ class TextureImage:
         corner = np.clip(np.floor(xy).astype(int), 0, [max(0, width - 2), max(0, height - 2)])
         far = np.minimum(corner + 1, [width - 1, height - 1])
         share = xy - corner
-        out, inside = np.zeros((len(xy), image.shape[2])), (xy >= 0).all(1) & (xy <= [width - 1, height - 1]).all(1)
+        inside: NDArray[np.bool_] = np.all((xy >= 0) & (xy <= [width - 1, height - 1]), axis=1)
+        out = np.zeros((len(xy), image.shape[2]))
         for column, wx in ((corner[:, 0], 1 - share[:, 0]), (far[:, 0], share[:, 0])):
             for row, wy in ((corner[:, 1], 1 - share[:, 1]), (far[:, 1], share[:, 1])):
                 out += (wx * wy)[:, None] * image[row, column]
@@ -123,7 +124,7 @@ def _resample(
         return None
     width, height = (int(np.ceil(size / pitch_mm)) + 1 for size in (right - left, bottom - top))
     source = _core.rasterise_chart(places, left, top, pitch_mm, _MAX_EDGE_GSD * gsd_mm, height, width)
-    points, normals, x_axis = _core.sample_chart(
+    points, normals, x_axis = _core.chart_surface(
         source, surface.points_sensor, surface.normals_sensor, chart.maps, chart.step_px, threads
     )
     u, v = cv2.split(np.nan_to_num(source, nan=-1e4))
