@@ -16,7 +16,6 @@ from planish.registration.pair import PairOptions, common_gsd, common_pitch, len
 SCALE = 0.35
 #: T_object_sensor of b where it moved; a's is the unit matrix, so that this is also T_a_b.
 T_MOVED = exp_se3([0.01, -0.02, 0.25, 70, 30, 4])
-BENT = 1 / 900
 #: Width and height of the images.
 SIZE_PX = synthetic.camera(SCALE).size_px
 _PX_PER_MM = 1 / synthetic.RASTER_PITCH_MM
@@ -76,8 +75,17 @@ def sensor_pattern(prnu=0.005, spots=10):
     return pattern
 
 
-def measured(T, texture, name, seed, bend=0.0, prnu=None):
-    return synthetic.measurement(T, texture, name=name, scale=SCALE, bend=bend, prnu=prnu, seed=seed)
+def measured(T, texture, name, seed, prnu=None):
+    return synthetic.measurement(T, texture, name=name, scale=SCALE, prnu=prnu, seed=seed)
+
+
+def embossed(m, height_mm=5.0, wave_px=60.0):
+    """The measurement with waves in both directions on its surface."""
+    v, u = np.indices(m.shape)
+    relief = height_mm * np.sin(2 * np.pi * u / wave_px) * np.sin(2 * np.pi * v / wave_px)
+    rays = m.points_sensor - m.camera.center_sensor
+    rays /= np.linalg.norm(rays, axis=2, keepdims=True)
+    return replace(m, points_sensor=(m.points_sensor + relief[..., None] * rays).astype(np.float32))
 
 
 def composed(front, back, columns):

@@ -1,4 +1,4 @@
-"""Repeating prints, backgrounds, sensor patterns: what agrees must belong to the part, and to one motion of it alone."""
+"""Repeating prints, backgrounds, sensor patterns: what agrees must belong to the part, and to one motion alone."""
 
 from __future__ import annotations
 
@@ -88,8 +88,8 @@ def test_a_plate_that_was_not_moved_is_refused_because_a_plane_slides_unseen():
     assert "was not moved" in result.reason
 
 
-def test_a_bent_part_that_was_not_moved_is_accepted_because_its_surface_alone_proves_it():
-    one, again = (motions.measured(STILL, motions.grain(), name, i, bend=motions.BENT) for i, name in enumerate("ab"))
+def test_a_part_with_relief_that_was_not_moved_is_accepted_because_its_surface_alone_proves_it():
+    one, again = (motions.embossed(motions.measured(STILL, motions.grain(), name, i)) for i, name in enumerate("ab"))
     result = motions.registered(one, again)
     assert result.status == "accepted"
     assert motions.worst_mm(result.T_a_b, STILL, again) < RIGHT_MM

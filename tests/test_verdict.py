@@ -16,6 +16,8 @@ from planish.registration.consensus import CoarseResult, find_consensus
 from planish.registration.pair import prepare, refine_pair
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.result import Direction
+from planish.registration.texture.photometric import local_contrast
+from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.false_alarms import (
     chance_of_agreement,
     dispersion,
@@ -24,7 +26,6 @@ from planish.registration.verdict.false_alarms import (
     log10_of_product,
 )
 from planish.registration.verdict.geometry import line_of_sight
-from planish.registration.verdict.hypothesis import Side
 from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined
 from planish.registration.verdict.still import geometry_stands_still, same_sensor, standing_still
 from planish.registration.verdict.verify import Windows
@@ -77,7 +78,7 @@ def judge(groups, total, still=0, pairs=1, seed=0):
     """Verdict of matches alone: measurements whose charts hold no texture; the first `still` matches do not move."""
     matches = matched.pair(np.random.default_rng(seed), total, groups)[2]
     matches.pixels_b[:still] = matches.pixels_a[:still]
-    sides = (Side(sheets.quiet(name), ()) for name in "ab")
+    sides = (Side(m, (), local_contrast(m)) for m in map(sheets.quiet, "ab"))
     return judge_coarse(*sides, matches, find_consensus(matches), pairs, OPTIONS)
 
 

@@ -27,7 +27,8 @@ from planish.registration.texture.charts import ChartOptions
 from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
 from planish.registration.tiles import ground_sample_distance, tile_size_px
-from planish.registration.verdict.hypothesis import Hypothesis, Side
+from planish.registration.verdict.aligned import Side
+from planish.registration.verdict.hypothesis import Hypothesis
 from planish.registration.verdict.judge import Verdict, VerdictOptions, judge_coarse, judge_refined
 
 
@@ -106,8 +107,8 @@ def register_pair(
     options = options or PairOptions()
     matches = match(a.keypoints, b.keypoints, options.match, threads)
     coarse = find_consensus(matches, options.consensus, threads)
-    sides = Side(a.measurement, a.images), Side(b.measurement, b.images)
-    verdict = judge_coarse(*sides, matches, coarse, pairs_in_run, options.verdict, threads=threads)
+    side_a, side_b = (Side(p.measurement, p.images, p.contrast) for p in (a, b))
+    verdict = judge_coarse(side_a, side_b, matches, coarse, pairs_in_run, options.verdict, threads=threads)
     first = verdict.first
     result = PairResult(
         a=a.measurement.name,

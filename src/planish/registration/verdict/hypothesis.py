@@ -12,7 +12,7 @@ from planish.measurement import Measurement
 from planish.registration.consensus import Candidate, CoarseResult
 from planish.registration.matches import Matches
 from planish.registration.texture.resample import TextureImage
-from planish.registration.verdict.aligned import sample
+from planish.registration.verdict.aligned import Side, sample
 from planish.registration.verdict.false_alarms import (
     chance_of_agreement,
     log10_by_windows,
@@ -21,14 +21,6 @@ from planish.registration.verdict.false_alarms import (
     log10_transforms,
 )
 from planish.registration.verdict.verify import VerifyOptions, Windows, apart_from, correlate_windows
-
-
-@dataclass(frozen=True)
-class Side:
-    """What the verdict needs of one measurement."""
-
-    measurement: Measurement
-    images: tuple[TextureImage, ...]
 
 
 @dataclass(frozen=True)
@@ -104,7 +96,7 @@ def weigh(
     the consensus has looked at (`looked_at_mm` around its place). Where these are none, all windows are
     counted against all transforms that could have been tried. Of both ways the better counts, twice.
     """
-    windows = correlate_windows(a.images, b.images, candidate.T_a_b, options)
+    windows = correlate_windows(a, b, candidate.T_a_b, options)
     chance = chance_of_agreement(matches, candidate.T_a_b, coarse)
     by_matches = log10_false_alarms(candidate.places, coarse.places, chance, 1)
     reach = looked_at_mm + options.window_mm / 2
@@ -125,7 +117,7 @@ def weigh(
 
 def as_hypothesis(a: Side, b: Side, T_a_b: Array, options: VerifyOptions) -> Hypothesis:
     """Return what the windows alone say about a transform that no match suggested."""
-    windows = correlate_windows(a.images, b.images, T_a_b, options)
+    windows = correlate_windows(a, b, T_a_b, options)
     T, windows = _fitted(a, b, None, T_a_b, windows, options)
     alarms = log10_by_windows(windows) + log10_transforms(_area_mm2(a.images, b.images), options.agree_mm)
     return Hypothesis(
@@ -153,7 +145,7 @@ def _fitted(
         shift = np.linalg.norm(transform_points(T, points_b) - transform_points(T_a_b, points_b), axis=1)
         if np.sqrt((shift**2).mean()) < _SETTLED_PX * a.images[0].pitch_mm:
             return T, windows
-        again = correlate_windows(a.images, b.images, T, options)
+        again = correlate_windows(a, b, T, options)
         if again.agrees.sum() < windows.agrees.sum():
             break
         T_a_b, windows = T, again

@@ -16,8 +16,9 @@ from planish.registration.refine.solve import Refined
 from planish.registration.result import Direction, Motion, RunnerUp, Status
 from planish.registration.tiles import ground_sample_distance
 from planish.registration.verdict import reasons, still
+from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.geometry import Sight, line_of_sight
-from planish.registration.verdict.hypothesis import Hypothesis, Side, apart, as_hypothesis, weigh
+from planish.registration.verdict.hypothesis import Hypothesis, apart, as_hypothesis, weigh
 from planish.registration.verdict.repeats import rival_transforms
 from planish.registration.verdict.rivals import Rivalry, alike, compare
 from planish.registration.verdict.verify import VerifyOptions
@@ -175,7 +176,7 @@ class _Case:
         return RunnerUp(other.places, self.alarms(other), other.T_a_b, rotation, shift)
 
     def motion(self, h: Hypothesis) -> Motion:
-        chosen = h.windows.agrees & np.isfinite(h.windows.found_b).all(1)
+        chosen = h.windows.credible & np.isfinite(h.windows.found_b).all(1)
         pixels_a, pixels_b = h.windows.pixels_a[chosen], h.windows.found_b[chosen]
         if len(pixels_a) == 0:
             members = self.matches.take(h.members)
@@ -186,7 +187,7 @@ class _Case:
 
 
 def _box(pixels: Array) -> tuple[float, float, float, float]:
-    # The middle 90 %: one window in twenty agrees by chance, wherever it lies.
+    # The middle 90 %: single windows agree by chance, wherever they lie.
     low, high = np.percentile(pixels, [5, 95], axis=0)
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
@@ -261,7 +262,7 @@ def _rival(case: _Case, moving: list[Hypothesis]) -> tuple[Hypothesis, Hypothesi
     apart_mm = 3 * options.verify.agree_mm
     suggested = [
         as_hypothesis(case.a, case.b, T, options.verify)
-        for T in rival_transforms(case.a.images, case.b.images, first.T_a_b, apart_mm)
+        for T in rival_transforms(case.a, case.b, first.T_a_b, apart_mm, options.verify.gate_mm)
     ]
     equal: list[tuple[Hypothesis, Rivalry]] = []
     for other in [*moving[1:], *suggested]:

@@ -88,6 +88,6 @@ def loose_directions(directions: list[Direction]) -> str:
         words.append(f"{kind} ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) uncertain by {d.sigma_mm:.1f} mm")
     return (
         f"{len(directions)} direction(s) held by neither geometry nor texture: {'; '.join(words)} (axes in the frame "
-        "of the first); the texture runs along it (brush marks, lines) or the overlap is too small: take a view with more "
-        "overlap, or one that shows an edge"
+        "of the first); the texture runs along it (brush marks, lines) or the overlap is too small: take a view with "
+        "more overlap, or one that shows an edge"
     )

@@ -1,20 +1,20 @@
 """Where else would the texture fit: shifts by a period, quarter and half turns.
 
-The consensus cannot be asked for them: of places that look alike, mutual nearest neighbours keep one. So b's chart, as
-the transform lays it on a's, is correlated with a's chart over all shifts, as it is and turned by 90, 180 and 270
-degrees; other peaks than the transform's own become rivals.
+The consensus cannot be asked for them: of places that look alike, mutual nearest neighbours keep one. So b's texture,
+as the transform lays it on a texture image of a, is correlated with that image over all shifts, as it is and turned by
+90, 180 and 270 degrees; other peaks than the transform's own become rivals.
 """
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 
-from planish.geometry import Array, compose, exp_so3, invert, translation
+from planish.geometry import Array, fit_rigid, transform_points
 from planish.measurement import Map
-from planish.registration.texture.resample import TextureImage
-from planish.registration.verdict.aligned import compose_chart
+from planish.registration.verdict.aligned import Aligned, Side, align
 
 #: Rivals whose peak is lower than this share of the transform's own explain less than a window test could tell.
 _MIN_SHARE = 0.3
@@ -22,50 +22,73 @@ _MIN_SHARE = 0.3
 _COMPARABLE = 0.5
 #: Most peaks that are looked at, and rivals that are tried, per quarter turn.
 _MAX_PEAKS, _MAX_RIVALS_PER_TURN = 24, 2
-#: Charts are reduced to at most this many pixels a side: a pattern that repeats is coarser than the grain.
+#: Images are reduced to at most this many pixels a side: a pattern that repeats is coarser than the grain.
 _MAX_SIDE_PX = 384
+#: Places that a rival is fitted to, at most and at least.
+_PLACES, _MIN_PLACES = 400, 12
 
 
-def rival_transforms(
-    images_a: tuple[TextureImage, ...], images_b: tuple[TextureImage, ...], T_a_b: Array, apart_mm: float
-) -> list[Array]:
-    """Return other transforms (4, 4) under which the charts correlate nearly as well, at least `apart_mm` away.
+def rival_transforms(a: Side, b: Side, T_a_b: Array, apart_mm: float, gate_mm: float) -> list[Array]:
+    """Return other transforms (4, 4) under which the textures correlate nearly as well, at least `apart_mm` away.
 
-    Asked of the largest chart of each: shifts and turns in its plane. Where the surface is not flat, what the windows
-    say later decides whether they are possible.
+    Asked of the texture image that holds most of the common region. A shift or turn in the picture that no rigid
+    motion makes within `gate_mm`, the surface being bent otherwise there, is none.
     """
-    if not images_a or not images_b:
+    charts = align(a, b, T_a_b, gate_mm)
+    chart = max(charts, key=lambda c: int(c.common.sum()), default=None)
+    if chart is None or chart.common.sum() < _MIN_PLACES:
         return []
-    a, b = (max(images, key=lambda i: int(i.mask.sum())) for images in (images_a, images_b))
-    step = max(1, -(-max(*a.mask.shape, *b.mask.shape) // _MAX_SIDE_PX))
-    pitch = a.pitch_mm * step
-    size = 2 * max(-(-n // step) for n in (*a.mask.shape, *b.mask.shape))
-    size = fft.next_fast_len(int(size))
-    canvas_a = _canvas(a, np.eye(4), pitch, size)
-    into_a = invert(compose_chart(b, T_a_b, a))
-    middle = _middle(b, into_a)
-    F_a = fft.rfft2(canvas_a)
-    reach = max(1, round(apart_mm / pitch))
-    chosen: list[tuple[float, float, Array]] = []
+    step = max(1, -(-max(chart.common.shape) // _MAX_SIDE_PX))
+    size = fft.next_fast_len(2 * -(-max(chart.common.shape) // step))
+    F_a = fft.rfft2(_drawn(chart.image.value, chart.image.mask, np.eye(2, 3) / step, size))
+    reach = max(1, round(apart_mm / (chart.image.pitch_mm * step)))
+    middle = np.argwhere(chart.common).mean(0)[::-1]
+    chosen: list[Array] = []
     own = 0.0
     for quarter in range(4):
-        turn = translation(middle) @ compose(exp_so3([0, 0, quarter * np.pi / 2]), np.zeros(3)) @ translation(-middle)
-        surface = _phase_correlation(F_a, _canvas(b, turn @ into_a, pitch, size))
+        turn = _turned(quarter, middle)
+        surface = _correlation(F_a, _drawn(chart.value_b, chart.common, turn / step, size))
         if quarter == 0:
-            own = float(_taken_out(surface, 0, 0, reach))
-        peaks = _peaks(surface, reach, _MIN_SHARE * own) if own > 0 else []
-        found = [
-            (height, float(np.hypot(*shift)), translation([shift[0] * pitch, shift[1] * pitch, 0.0]) @ turn @ into_a)
-            for height, shift in peaks
-        ]
+            own = _taken_out(surface, 0, 0, reach)
+        if own <= 0:
+            return []
+        peaks = _peaks(surface, reach, _MIN_SHARE * own)
         # Of a lattice of repetitions the nearest tells the period; of turned ones the best fit counts.
-        chosen += sorted(found, key=lambda item: item[1] if quarter == 0 else -item[0])[:_MAX_RIVALS_PER_TURN]
-    T_sensor_chart = invert(a.T_chart_sensor)
-    return [T_sensor_chart @ moved @ b.T_chart_sensor for _, _, moved in chosen]
+        peaks.sort(key=lambda peak: float(np.hypot(*peak[1])) if quarter == 0 else -peak[0])
+        for _, shift in peaks[:_MAX_RIVALS_PER_TURN]:
+            motion = _rigid(chart, turn + np.column_stack([np.zeros((2, 2)), np.array(shift) * step]), gate_mm)
+            if motion is not None:
+                chosen.append(motion @ T_a_b)
+    return chosen
+
+
+def _turned(quarter: int, middle: Array) -> Array:
+    """Affine map (2, 3) that turns a picture by quarters of a turn about a place (column, row)."""
+    cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
+    R = np.array([[cosine, -sine], [sine, cosine]], float)
+    return np.column_stack([R, middle - R @ middle])
+
+
+def _drawn(value: Map, known: NDArray[np.bool_], A: Array, size: int) -> Map:
+    """The picture (size, size) that the affine map A (2, 3) makes of a texture; 0 where unknown."""
+    limit = 4 * 1.4826 * float(np.median(np.abs(value[known]))) if known.any() else 0.0
+    clipped = np.clip(value, -limit, limit)
+    factor = float(np.linalg.norm(A[:, 0]))
+    if factor < 1:
+        clipped = cv2.GaussianBlur(clipped, (0, 0), 0.5 / factor)
+    return np.asarray(cv2.warpAffine(clipped, A, (size, size), flags=cv2.INTER_LINEAR), np.float32)
+
+
+def _correlation(F_a: Array, b: Map) -> Map:
+    """Correlation over all shifts of b; half whitened, so that fine grain and coarse print both count."""
+    cross = F_a * np.conj(fft.rfft2(b))
+    cross /= np.sqrt(np.abs(cross)) + 1e-12
+    cross[0, 0] = 0
+    return np.asarray(fft.irfft2(cross, s=b.shape), np.float32)
 
 
 def _peaks(surface: Map, reach: int, lowest: float) -> list[tuple[float, tuple[int, int]]]:
-    """Highest peaks (height, shift (x, y)) that stand out from the highest of them; takes them out of the surface."""
+    """Highest peaks (height, shift (x, y)) that compare with the highest of them; they are taken out."""
     size = len(surface)
     found: list[tuple[float, tuple[int, int]]] = []
     for _ in range(_MAX_PEAKS):
@@ -86,30 +109,19 @@ def _taken_out(surface: Map, row: int, column: int, reach: int) -> float:
     return height
 
 
-def _canvas(image: TextureImage, T_canvas_chart: Array, pitch_mm: float, size: int) -> Map:
-    """The chart (size, size) as T_canvas_chart lays it on a canvas of its pitch; 0 where unknown."""
-    factor = image.pitch_mm / pitch_mm
-    A = np.column_stack([T_canvas_chart[:2, :2] * factor, T_canvas_chart[:2, 3] / pitch_mm])
-    value = image.value
-    if factor < 1:
-        value = cv2.GaussianBlur(value, (0, 0), 0.5 / factor)
-    limit = 4 * 1.4826 * float(np.median(np.abs(value[image.mask]))) if image.mask.any() else 0.0
-    drawn = cv2.warpAffine(
-        np.clip(value, -limit, limit), A, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT
-    )
-    return np.asarray(drawn, np.float32)
-
-
-def _middle(image: TextureImage, T_canvas_chart: Array) -> Array:
-    row, column = (n.mean() for n in np.nonzero(image.mask))
-    at = T_canvas_chart @ np.array([column * image.pitch_mm, row * image.pitch_mm, 0.0, 1.0])
-    return np.asarray(at[:3])
-
-
-def _phase_correlation(F_a: Array, b: Map) -> Map:
-    F_b = fft.rfft2(b)
-    cross = np.conj(F_b) * F_a
-    # Half whitened: fine grain and coarse print both count.
-    cross /= np.sqrt(np.abs(cross)) + 1e-12
-    cross[0, 0] = 0
-    return np.asarray(fft.irfft2(cross, s=b.shape), np.float32)
+def _rigid(chart: Aligned, A: Array, gate_mm: float) -> Array | None:
+    """The rigid motion (4, 4) of a's surface that moves the common region as A moves its picture, if there is one."""
+    rows, columns = np.nonzero(chart.common)
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), _PLACES)).astype(int)
+    rows, columns = rows[chosen], columns[chosen]
+    to_column, to_row = np.rint(A @ np.vstack([columns, rows, np.ones(len(rows))])).astype(int)
+    height, width = chart.common.shape
+    inside = (to_column >= 0) & (to_column < width) & (to_row >= 0) & (to_row < height)
+    inside[inside] &= chart.image.mask[to_row[inside], to_column[inside]]
+    if inside.sum() < _MIN_PLACES:
+        return None
+    before = chart.image.points_sensor[rows[inside], columns[inside]].astype(float)
+    after = chart.image.points_sensor[to_row[inside], to_column[inside]].astype(float)
+    motion = fit_rigid(after, before)
+    residual = np.linalg.norm(transform_points(motion, before) - after, axis=1)
+    return motion if np.sqrt((residual**2).mean()) <= gate_mm else None

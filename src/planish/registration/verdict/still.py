@@ -31,19 +31,16 @@ def geometry_stands_still(refined: Refined, still_mm: float) -> bool:
     """Return whether the surfaces alone, without texture, prove that nothing moved by `still_mm`.
 
     A sensor's own pattern agrees whatever the part did, and so do its own small errors of the surface; but where any
-    motion by `still_mm` would part the surfaces by three standard deviations of a single pixel's distance (rms over the
-    overlap), they agree only where the part is. Averages over pixels do not count: errors of the sensor do not average.
+    motion by `still_mm` would part the surfaces by as much as the noise of a single pixel's distance (rms over the
+    overlap), they agree only where the part is. That averages of many pixels see less does not count: errors of the
+    sensor do not average.
     """
     e, weights = refined.equations, refined.weights
     scale = np.array([refined.lever_mm] * 3 + [1.0] * 3)
     # Sum of the squared changes of distance by 1 mm at the rim, in units of the residuals' variance.
     H = e.H_distance_unbiased / np.outer(scale, scale) / max(weights.distance, 1e-30)
     least = max(float(np.linalg.eigvalsh((H + H.T) / 2)[0]), 0.0) / max(e.points, 1)
-    return still_mm * np.sqrt(least) > _SIGMAS * weights.scale_distance_mm
-
-
-#: Surfaces part visibly by so many standard deviations of a pixel's distance.
-_SIGMAS = 3.0
+    return bool(still_mm * np.sqrt(least) > weights.scale_distance_mm)
 
 
 def left_out(
@@ -54,7 +51,7 @@ def left_out(
     They are the windows (of half an edge `half_px`) that agree with standing still and not with the motion.
     """
     moved = np.isin(still.windows.cell, moving.windows.cell[moving.windows.agrees])
-    own = still.windows.agrees & ~moved
+    own = still.windows.credible & ~moved
     return (
         _squares(still.windows.pixels_a[own], shapes[0], half_px),
         _squares(still.windows.found_b[own], shapes[1], half_px),

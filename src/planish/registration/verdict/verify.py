@@ -16,11 +16,11 @@ from pydantic import Field
 from scipy import fft
 from scipy.spatial import cKDTree
 
-from planish.geometry import Array, invert, transform_points
+from planish.geometry import Array
 from planish.measurement import Map
 from planish.options import Options
 from planish.registration.texture.resample import TextureImage
-from planish.registration.verdict.aligned import Aligned, align, sample
+from planish.registration.verdict.aligned import Aligned, Side, align, sample
 
 
 class VerifyOptions(Options):
@@ -44,7 +44,7 @@ class Windows:
     Parameters
     ----------
     cell : ndarray (n,) int64
-        Number of the window on the grid of a's charts: the same place for every transform.
+        Number of the window on the grid of a's texture images: the same place for every transform.
     points_a : ndarray (n, 3)
         Middle [mm], in the frame of a.
     pixels_a, pixels_b : ndarray (n, 2)
@@ -52,7 +52,7 @@ class Windows:
     found_b : ndarray (n, 2)
         Pixel of b where the peak of the correlation puts the middle; NaN where b is not known there.
     offset_mm : ndarray (n, 2)
-        Position of the correlation's peak on a's chart, relative to what the transform predicts.
+        Position of the correlation's peak in a's texture image, relative to what the transform predicts.
     score : ndarray (n,)
         Best correlation coefficient within `agree_mm` of the prediction, of the textures as the matched filter weighs
         their frequencies.
@@ -78,30 +78,32 @@ class Windows:
     def __len__(self) -> int:
         return len(self.cell)
 
+    @property
+    def credible(self) -> NDArray[np.bool_]:
+        """Which windows agree, and not only by chance: at least half as well as most that agree."""
+        if not self.agrees.any():
+            return self.agrees
+        return np.asarray(self.agrees & (self.score >= 0.5 * np.median(self.score[self.agrees])))
+
     def take(self, index: NDArray[np.bool_]) -> Windows:
         """Return the windows at `index`."""
         parts = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return Windows(**{name: part if name == "chance" else part[index] for name, part in parts.items()})
 
 
-def correlate_windows(
-    images_a: tuple[TextureImage, ...],
-    images_b: tuple[TextureImage, ...],
-    T_a_b: Array,
-    options: VerifyOptions | None = None,
-) -> Windows:
+def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | None = None) -> Windows:
     """Return the windows of the common region under T_a_b, each with the peak of its correlation."""
     options = options or VerifyOptions()
-    window, search = _size_px(images_a, options)
-    pitch = images_a[0].pitch_mm if images_a else 1.0
+    window, search = _size_px(a.images, options)
+    pitch = a.images[0].pitch_mm if a.images else 1.0
     rows = np.arange(2 * search + 1) - search
     near = (rows[:, None] ** 2 + rows[None, :] ** 2 <= (options.agree_mm / pitch) ** 2).ravel()
-    charts = align(images_a, images_b, T_a_b, options.gate_mm)
+    charts = align(a, b, T_a_b, options.gate_mm)
     cut = [(number, part) for number, part in enumerate(_cut(c, options) for c in charts) if len(part.centre)]
     if not cut:
         return _no_windows(float(near.mean()))
-    a, b, noise = (np.concatenate([getattr(part, name) for _, part in cut]) for name in ("a", "b", "noise"))
-    surface, expected = _correlation(a, b, noise, window, search)
+    value_a, value_b, noise = (np.concatenate([getattr(part, name) for _, part in cut]) for name in ("a", "b", "noise"))
+    surface, expected = _correlation(value_a, value_b, noise, window, search)
     flat = surface.reshape(len(surface), -1)
     peak = np.argmax(flat, 1)
     offset_px = _refined_peak(surface, peak, search)
@@ -148,12 +150,11 @@ def _places(
 ) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
     """Cell, point of a, pixels of a and b and pixel of b at the peak, per window of a chart."""
     image, (row, column) = chart.image, centre.T
-    points = np.column_stack([column * image.pitch_mm, row * image.pitch_mm, image.height_mm[row, column]])
     cell = ((number * _CELLS + row // window) * _CELLS + column // window).astype(np.int64)
     found = sample(chart.source_b, (centre[:, ::-1] + offset_px).astype(np.float32))
     return (
         cell,
-        np.asarray(transform_points(invert(image.T_chart_sensor), points), float),
+        image.points_sensor[row, column].astype(float),
         image.source_px[row, column].astype(float),
         chart.source_b[row, column].astype(float),
         found.astype(float),
