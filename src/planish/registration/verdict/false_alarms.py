@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import betainc, gammaln
 
 from planish.geometry import Array, transform_points
-from planish.registration.consensus import CoarseResult
+from planish.registration.consensus import CoarseResult, count_places
 from planish.registration.matches import Matches
 from planish.registration.verdict.verify import Windows
 
@@ -40,8 +41,31 @@ def log10_binomial_tail(k: int, n: int, p: float) -> float:
     return float(min(log_term / np.log(10), 0.0))
 
 
+def log10_by_matches(matches: Matches, T_a_b: Array, places: int, coarse: CoarseResult) -> float:
+    """Return log10 of the number of consensuses this good to be expected by chance in one pair.
+
+    The greater of two counts. One is among all matches (`chance_of_agreement`). The other grants chance that kind finds
+    kind: rims match rims, lines match lines, because they look alike, so that a transform which lays one on the other
+    has many matches that nearly agree. Only those within a wide reach are counted then, and the chance that such a
+    match agrees exactly is taken from how the places of its neighbourhood lie: along a line it is far greater than in
+    an area.
+    """
+    whole = log10_false_alarms(places, coarse.places, chance_of_agreement(matches, T_a_b, coarse), 1)
+    if places < 3:
+        return whole
+    nearly, chance = _nearly_agreeing(matches, T_a_b, coarse)
+    tests = np.log10(max(coarse.places, 2) ** 2 / 2)
+    return float(max(whole, tests + log10_binomial_tail(places - 2, max(nearly, places) - 2, chance)))
+
+
 #: The density of places near a place is averaged over this many tolerances.
 _DENSITY_TOLERANCES = 5.0
+#: Matches nearly agree within this many tolerances: many times as far as chance reaches, and well inside a part.
+_NEARLY_TOLERANCES = 20.0
+#: Half a tolerance of freedom that the fit takes.
+_FREEDOM = 1.5
+#: The chance of an even area counts as much as this many observed pairs of neighbours.
+_PRIOR_PAIRS = 10
 
 
 def chance_of_agreement(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> float:
@@ -54,17 +78,46 @@ def chance_of_agreement(matches: Matches, T_a_b: Array, coarse: CoarseResult) ->
     n, options = len(matches), coarse.options
     if n < 3:
         return 1.0
-    reach = _DENSITY_TOLERANCES * options.tolerance_mm
     moved = np.asarray(transform_points(T_a_b, matches.points_b), float)
-    found = cKDTree(matches.points_a).sparse_distance_matrix(cKDTree(moved), reach, output_type="coo_matrix")
-    i, j = found.row, found.col
-    i, j = i[i != j], j[i != j]
-    turned = T_a_b[:3, :3] @ matches.frames_b
-    orientation = (matches.frames_a[i, :, 0] * turned[j, :, 0]).sum(1) >= np.cos(options.frame_angle_rad)
-    normal = (matches.frames_a[i, :, 2] * turned[j, :, 2]).sum(1) >= np.cos(options.normal_angle_rad)
-    density = float((orientation & normal).sum()) / (n * (n - 1))
-    # Half a tolerance of freedom that the fit takes.
-    return float(np.clip(max(density * (1.5 / _DENSITY_TOLERANCES) ** 2, coarse.chance), 1e-12, 1.0))
+    i, j = _pairs_within(matches.points_a, moved, _DENSITY_TOLERANCES * options.tolerance_mm)
+    density = float(_turned_alike(matches, T_a_b, i, j, coarse).sum()) / (n * (n - 1))
+    return float(np.clip(max(density * (_FREEDOM / _DENSITY_TOLERANCES) ** 2, coarse.chance), 1e-12, 1.0))
+
+
+def _nearly_agreeing(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> tuple[int, float]:
+    """Distinct places of the matches that nearly agree, and the chance that one of them agrees exactly."""
+    options = coarse.options
+    reach = _NEARLY_TOLERANCES * options.tolerance_mm
+    moved = np.asarray(transform_points(T_a_b, matches.points_b), float)
+    own = np.arange(len(matches))
+    near = np.linalg.norm(matches.points_a - moved, axis=1) <= reach
+    near &= _turned_alike(matches, T_a_b, own, own, coarse)
+    points_a, moved = matches.points_a[near], moved[near]
+    i, j = _pairs_within(points_a, points_a, reach)
+    agree = np.linalg.norm(points_a[i] - moved[j], axis=1) <= _FREEDOM * options.tolerance_mm
+    even = (_FREEDOM / _NEARLY_TOLERANCES) ** 2
+    chance = (agree.sum() + _PRIOR_PAIRS * even) / (len(i) + _PRIOR_PAIRS)
+    return count_places(points_a, options.distinct_mm), float(max(chance, even))
+
+
+def _pairs_within(a: Array, b: Array, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices (i, j), i != j, of points of a and b within `reach` of each other."""
+    found = cKDTree(a).sparse_distance_matrix(cKDTree(b), reach, output_type="coo_matrix") if len(a) else None
+    if found is None:
+        return np.empty(0, np.intp), np.empty(0, np.intp)
+    other = found.row != found.col
+    return found.row[other], found.col[other]
+
+
+def _turned_alike(
+    matches: Matches, T_a_b: Array, i: NDArray[np.intp], j: NDArray[np.intp], coarse: CoarseResult
+) -> NDArray[np.bool_]:
+    """Whether the frames of places i of a and j of b agree under T_a_b in orientation and normal."""
+    turned = T_a_b[:3, :3] @ matches.frames_b[j]
+    frames = matches.frames_a[i]
+    orientation = (frames[:, :, 0] * turned[:, :, 0]).sum(1) >= np.cos(coarse.options.frame_angle_rad)
+    normal = (frames[:, :, 2] * turned[:, :, 2]).sum(1) >= np.cos(coarse.options.normal_angle_rad)
+    return np.asarray(orientation & normal)
 
 
 def log10_by_windows(windows: Windows) -> float:

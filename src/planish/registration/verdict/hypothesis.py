@@ -14,9 +14,8 @@ from planish.registration.matches import Matches
 from planish.registration.texture.resample import TextureImage
 from planish.registration.verdict.aligned import Side, sample
 from planish.registration.verdict.false_alarms import (
-    chance_of_agreement,
+    log10_by_matches,
     log10_by_windows,
-    log10_false_alarms,
     log10_of_product,
     log10_transforms,
 )
@@ -97,8 +96,7 @@ def weigh(
     counted against all transforms that could have been tried. Of both ways the better counts, twice.
     """
     windows = correlate_windows(a, b, candidate.T_a_b, options)
-    chance = chance_of_agreement(matches, candidate.T_a_b, coarse)
-    by_matches = log10_false_alarms(candidate.places, coarse.places, chance, 1)
+    by_matches = log10_by_matches(matches, candidate.T_a_b, candidate.places, coarse)
     reach = looked_at_mm + options.window_mm / 2
     free = windows.take(apart_from(windows, matches.points_a[candidate.members], reach))
     # Both candidates of a pair are weighed.
