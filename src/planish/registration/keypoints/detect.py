@@ -8,6 +8,7 @@ Where texture is weak, the width of what is compared and not its detail decides.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,17 +40,39 @@ class KeypointOptions(Options):
     cell_scales: float = Field(default=20.0, gt=0)
     #: Directions of the gradient are averaged over this multiple of the scale (standard deviation).
     orientation_scales: float = Field(default=3.0, gt=0)
-    #: A second direction at least this strong, relative to the strongest, makes a second keypoint.
-    second_orientation: float = Field(default=0.9, gt=0, le=1)
+    #: A second direction at least this strong, relative to the strongest, makes a second keypoint if there is room.
+    second_orientation: float = Field(default=0.85, gt=0, le=1)
     #: Radius of the described neighbourhood, in multiples of the scale.
     support_scales: float = Field(default=10.0, gt=0)
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Blobs of one scale in one chart with their orientations; `which` says whose second ones `second_angle` are."""
+
+    image: TextureImage
+    chart: int
+    texture: SmoothTexture
+    xy: Array
+    angle: Array
+    which: NDArray[np.intp]
+    second_angle: Array
+
+    def keypoints(self, seconds: int, support_scales: float) -> Keypoints:
+        """Return the keypoints of all blobs, and so many more of second orientations."""
+        xy = np.concatenate([self.xy, self.xy[self.which[:seconds]]])
+        angle = np.concatenate([self.angle, self.second_angle[:seconds]])
+        places = places_on_surface(self.image, xy, angle)
+        words = describe(self.texture, places.xy, places.frames_chart, support_scales)
+        size_mm = np.full(len(places), 2 * self.texture.scale_px * self.image.pitch_mm)
+        return keypoints_at(self.chart, places, size_mm, words)
 
 
 def detect_keypoints(images: tuple[TextureImage, ...], options: KeypointOptions | None = None) -> Keypoints:
     """Return the keypoints of a measurement's texture images, by chart and scale, the surest first."""
     options = options or KeypointOptions()
     area = sum(int(image.mask.sum()) for image in images)
-    parts, left = [], 0.0
+    candidates, left = [], 0.0
     for chart, image in enumerate(images):
         if not image.mask.any():
             continue
@@ -58,9 +81,14 @@ def detect_keypoints(images: tuple[TextureImage, ...], options: KeypointOptions 
         owned = _frontal(images, chart)
         # Coarse blobs are few: what they leave goes to the next scale.
         for scale in sorted(options.scales_px, reverse=True):
-            texture = smooth_texture(image, scale)
-            parts.append(_of_scale(image, chart, texture, owned, options, int(share + left)))
-            left += share - len(parts[-1])
+            candidates.append(_candidates(image, chart, scale, owned, options, int(share + left)))
+            left += share - len(candidates[-1].xy)
+    parts, spare = [], options.max_keypoints - sum(len(c.xy) for c in candidates)
+    for i, c in enumerate(candidates):
+        # Second orientations take what blobs have left.
+        seconds = min(len(c.which), spare // (len(candidates) - i))
+        spare -= seconds
+        parts.append(c.keypoints(seconds, options.support_scales))
     if not parts:
         return no_keypoints()
     return Keypoints(
@@ -68,27 +96,18 @@ def detect_keypoints(images: tuple[TextureImage, ...], options: KeypointOptions 
     )
 
 
-def _of_scale(
-    image: TextureImage,
-    chart: int,
-    texture: SmoothTexture,
-    owned: NDArray[np.bool_],
-    options: KeypointOptions,
-    count: int,
-) -> Keypoints:
+def _candidates(
+    image: TextureImage, chart: int, scale_px: float, owned: NDArray[np.bool_], options: KeypointOptions, count: int
+) -> _Candidates:
+    texture = smooth_texture(image, scale_px)
     blobs = find_blobs(texture, owned, options.min_significance)
-    xy = blobs.xy[spread_evenly(blobs, options.cell_scales * texture.scale_px)[:count]]
-    which, angle = orient(texture, xy, options.orientation_scales, options.second_orientation)
-    which, angle = which[:count], angle[:count]
-    places = places_on_surface(image, xy[which], angle)
-    words = describe(texture, places.xy, places.frames_chart, options.support_scales)
-    return keypoints_at(image, chart, places, np.full(len(places), 2 * texture.scale_px * image.pitch_mm), words)
+    xy = blobs.xy[spread_evenly(blobs, options.cell_scales * scale_px)[:count]]
+    angle, which, second = orient(texture, xy, options.orientation_scales, options.second_orientation)
+    return _Candidates(image, chart, texture, xy, angle, which, second)
 
 
-def keypoints_at(
-    image: TextureImage, chart: int, places: SurfacePlaces, size_mm: Array, descriptors: NDArray[np.uint8]
-) -> Keypoints:
-    """Return keypoints at places of a texture image."""
+def keypoints_at(chart: int, places: SurfacePlaces, size_mm: Array, descriptors: NDArray[np.uint8]) -> Keypoints:
+    """Return keypoints at places of the texture image number `chart`."""
     return Keypoints(
         places.points_sensor, places.frames_sensor, size_mm, places.source_px, descriptors,
         np.full(len(places), chart, np.intp), places.xy, places.angle,

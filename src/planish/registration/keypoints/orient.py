@@ -20,35 +20,35 @@ _REACH = 2.0
 
 def orient(
     texture: SmoothTexture, xy: Array, orientation_scales: float, second: float
-) -> tuple[NDArray[np.intp], Array]:
-    """Return one or two orientations per place (N, 2), from a histogram of gradients (Lowe 2004, section 5).
+) -> tuple[Array, NDArray[np.intp], Array]:
+    """Return the orientations of places (N, 2), from histograms of gradients (Lowe 2004, section 5).
 
     Returns
     -------
+    angle : ndarray (N,)
+        The prevailing direction, from the chart's x axis towards y [rad].
     which : ndarray (M,) intp
-        Index of the place, in the order given: both orientations of a place stand together.
-    angle : ndarray (M,)
-        From the chart's x axis towards y [rad].
+        The places that have a second direction of at least `second` of the first one's strength.
+    second_angle : ndarray (M,)
+        That direction [rad].
     """
     histogram = _histogram(texture, xy, orientation_scales)
     before, after = np.roll(histogram, 1, 1), np.roll(histogram, -1, 1)
-    peak = np.where((histogram > before) & (histogram >= after), histogram, np.float32(-1))
+    peak = np.where((histogram > before) & (histogram >= after), histogram, 0.0)
     rows = np.arange(len(xy))
-    which, angle = [], []
-    strongest = peak.max(1, initial=-1)
-    for _ in range(2):
-        bin_ = peak.argmax(1)
-        height = peak[rows, bin_]
-        good = (height > 0) & (height >= second * strongest)
-        left, right = before[rows, bin_], after[rows, bin_]
+
+    def highest() -> tuple[Array, Array]:
+        at = peak.argmax(1)
+        left, right, height = before[rows, at], after[rows, at], peak[rows, at]
+        peak[rows, at] = 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
             offset = np.nan_to_num(0.5 * (left - right) / (left - 2 * height + right))
-        which.append(rows[good])
-        angle.append(((bin_ + offset) * (2 * np.pi / _BINS))[good])
-        peak[rows, bin_] = -1
-    both, angles = np.concatenate(which), np.concatenate(angle)
-    order = np.argsort(both, kind="stable")
-    return both[order], angles[order]
+        return (at + offset) * (2 * np.pi / _BINS), height
+
+    angle, strongest = highest()
+    second_angle, height = highest()
+    which = np.flatnonzero((height > 0) & (height >= second * strongest))
+    return angle, which, second_angle[which]
 
 
 def _histogram(texture: SmoothTexture, xy: Array, orientation_scales: float) -> Array:
