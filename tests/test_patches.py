@@ -123,8 +123,9 @@ def test_the_correlation_of_unrelated_texture_has_the_stated_deviation(grain_px,
         grain = cv2.GaussianBlur(white, (0, 0), grain_px[0], sigmaY=grain_px[1])
         images.append(image(grain / grain.std() + noise * rng.standard_normal(grain.shape), noise))
     # 300 values know their deviation to 4 %, and the cells are estimated. Where little but noise is left, the filters
-    # of both pictures differ by chance and the correlation scatters less than stated: that errs on the safe side.
-    assert 0.65 < np.std(unrelated(patch_images(tuple(images)))) < 1.2
+    # of both pictures differ by chance and the correlation scatters less than stated, which is safe; where it is fine,
+    # the linear interpolation between pixels smooths it and leaves fewer independent values.
+    assert 0.65 < np.std(unrelated(patch_images(tuple(images)))) < 1.25
 
 
 def separation(pictures):

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import scipy.fft
 
 from planish.geometry import Array
 from planish.measurement import Map
@@ -21,6 +22,8 @@ from planish.registration.texture.resample import TextureImage
 
 #: Edge of the tiles that the spectrum is measured on [px].
 _TILE_PX = 64
+#: Tiles that know the spectrum well enough, spread over the picture.
+_ENOUGH_TILES = 80
 #: Half the edge of the filter's kernel [px].
 _KERNEL_HALF_PX = 16
 #: Values beyond so many robust deviations grow only with their logarithm: specks count, but do not rule.
@@ -75,31 +78,42 @@ def _patch_image(image: TextureImage) -> PatchImage:
 
 
 def _compressed(image: TextureImage) -> Map:
-    inside = image.value[image.mask]
+    inside = image.value[image.mask][::_SAMPLE_STRIDE]
     deviation = max(1.4826 * float(np.median(np.abs(inside - np.median(inside)))), 1e-9)
     scale = np.float32(_COMPRESSED_BEYOND * deviation)
-    return np.where(image.mask, scale * np.arcsinh(image.value / scale), np.float32(0)).astype(np.float32)
+    # Values are 0 outside the mask.
+    return scale * np.arcsinh(image.value / scale)
+
+
+#: Every n-th pixel decides about the deviation.
+_SAMPLE_STRIDE = 7
 
 
 def _spectra(value: Map, image: TextureImage) -> tuple[Array, float]:
     """Power spectrum (tile, tile) of the texture with its noise, and that of the noise, which is white; per pixel."""
     window = np.outer(*2 * [np.hanning(_TILE_PX + 2)[1:-1]]).astype(np.float32)
-    weight = np.where(image.mask, np.float32(1), np.float32(0))
-    tapered = _tiles(weight) * window
-    energy = max(float((tapered.astype(float) ** 2).sum()), 1e-30)
-    power = (np.abs(np.fft.fft2(_tiles(value) * tapered)) ** 2).sum(0) / energy
-    noise = float((tapered.astype(float) ** 2 * _tiles(image.sigma) ** 2).sum() / energy)
+    tapered = window * _tiles(image.mask.astype(np.float32))
+    weight = tapered**2
+    energy = max(float(weight.sum(dtype=float)), 1e-30)
+    half = scipy.fft.rfft2(_tiles(value) * tapered)
+    half_power = (half.real**2 + half.imag**2).sum(0, dtype=float) / energy
+    # The other half of the spectrum of real values is its mirror image.
+    rows = -np.arange(_TILE_PX) % _TILE_PX
+    power = np.hstack([half_power, half_power[rows, 1:-1][:, ::-1]])
     power = np.fft.ifftshift(cv2.GaussianBlur(np.fft.fftshift(power), (0, 0), 1.0, borderType=cv2.BORDER_REFLECT_101))
+    noise = float((weight * _tiles(image.sigma) ** 2).sum(dtype=float) / energy)
     # What stands at the quietest frequencies is noise, too (pixel response, interpolation), within reason.
     return power, float(np.clip(np.quantile(power, 0.1), noise, 2 * noise))
 
 
 def _tiles(image: Map) -> Map:
-    """Cut an image into tiles (n, tile, tile), filled up with zeros."""
+    """Cut an image into tiles (n, tile, tile), the last ones filled up with zeros; of many only every k-th."""
     height, width = image.shape
     rows, columns = -(-height // _TILE_PX), -(-width // _TILE_PX)
     filled = np.pad(image, ((0, rows * _TILE_PX - height), (0, columns * _TILE_PX - width)))
-    return filled.reshape(rows, _TILE_PX, columns, _TILE_PX).swapaxes(1, 2).reshape(-1, _TILE_PX, _TILE_PX)
+    tiles = filled.reshape(rows, _TILE_PX, columns, _TILE_PX).swapaxes(1, 2)
+    which = np.arange(0, rows * columns, -(-rows * columns // _ENOUGH_TILES))
+    return np.asarray(tiles[which // columns, which % columns])
 
 
 def _kernel(response: Array) -> Map:
