@@ -28,8 +28,8 @@ class MatchOptions(Options):
     reach_px: int = Field(default=2, ge=0, le=10)
     #: Largest error of a keypoint's orientation that it makes good [rad].
     reach_rad: float = Field(default=0.25, ge=0, lt=1.6)
-    #: Least correlation of the patches, in standard deviations of the correlation of unrelated texture. The search takes
-    #: the greatest of some 40 independent ones, which chance alone brings to 2.2 on average and beyond 3.5 once in 100.
+    #: Least correlation of the patches, in standard deviations of that of unrelated texture. The search takes the
+    #: greatest of some 40 independent ones, which chance alone brings to 2.2 on average and beyond 3.5 once in 100.
     min_significance: float = Field(default=3.5, ge=0)
     #: Most matches that go on, most significant first.
     max_matches: int = Field(default=1000, ge=10)
