@@ -10,7 +10,7 @@ import pytest
 
 import sheets
 from planish import _core
-from planish.geometry import exp_so3, transform_points
+from planish.geometry import transform_points
 from planish.registration.match.descriptors import nearest_neighbours
 from planish.registration.match.matching import MatchOptions, match
 from planish.registration.match.patches import PatchSearch, PatchSide, align_patches
@@ -97,11 +97,11 @@ def test_the_alignment_is_the_same_for_any_number_of_threads():
 
 def image(value, sigma=0.01, mask=None):
     mask = np.ones(value.shape, bool) if mask is None else mask
-    flat = np.zeros((*value.shape, 3), np.float32)
+    space = np.zeros((*value.shape, 3), np.float32)
     sigma = np.broadcast_to(np.float32(sigma), value.shape).copy()
-    height = np.zeros(value.shape, np.float32)
     value = np.where(mask, value, 0).astype(np.float32)
-    return TextureImage(np.eye(4), 1.0, value, sigma, height, flat, mask, np.zeros((*value.shape, 2), np.float32))
+    source = np.zeros((*value.shape, 2), np.float32)
+    return TextureImage(1.0, value, sigma, mask, space, space, space, source)
 
 
 def unrelated(whitened):
@@ -227,13 +227,12 @@ def test_turning_a_keypoint_turns_the_alignment_and_not_the_match(sides):
     near = nearest_neighbours(a.keypoints, b.keypoints, 1.4, 40, 1)
     search = PatchSearch(12, 2, 3, 0.1)
     spin = 0.1
-    frames = b.keypoints.frames_sensor @ exp_so3([0, 0, spin])
-    other = replace(b, keypoints=replace(b.keypoints, frames_sensor=frames))
+    other = replace(b, keypoints=replace(b.keypoints, chart_angle_rad=b.keypoints.chart_angle_rad + spin))
     one = align_patches(a, b, near.index_a, near.index_b, search, 1)
     two = align_patches(a, other, near.index_a, near.index_b, search, 1)
     sure = one.correlation > 0.7
     assert sure.sum() > 20
-    assert np.median(np.abs(two.turn_rad - one.turn_rad + spin)[sure]) < 0.01
+    assert np.median(np.abs(two.chart_angle_rad - one.chart_angle_rad)[sure]) < 0.01
     assert np.median(np.abs(two.correlation - one.correlation)[sure]) < 0.05
 
 

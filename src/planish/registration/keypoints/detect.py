@@ -7,8 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.geometry import Array, invert, transform_points
-from planish.measurement import Map
 from planish.options import Options
 from planish.registration.keypoints.keypoints import Keypoints, no_keypoints
 from planish.registration.texture.resample import TextureImage
@@ -63,42 +61,20 @@ def _detect(image: TextureImage, chart: int, options: KeypointOptions, count: in
     xy = np.array([k.pt for k in found], float).reshape(-1, 2)
     size = np.array([k.size for k in found]) * image.pitch_mm
     angle = np.deg2rad([k.angle for k in found])
-    column, row = np.rint(xy).astype(int).T.reshape(2, -1)
-    # A keypoint whose position cannot be interpolated stands at the rim of the surface.
-    place = np.hstack([_sample(image.height_mm, xy), _sample(image.source_px, xy)])
-    inside = image.mask[row, column] & np.isfinite(place).all(1)
+    # A keypoint whose place cannot be interpolated stands at the rim of the surface.
+    points, frames, pixels = image.locate(xy, angle)
+    inside: NDArray[np.bool_] = np.isfinite(points[:, 0])
     # Strongest first; position breaks ties, so that the order does not depend on the detector's threads.
     response = np.array([k.response for k in found])
     order = np.lexsort((angle, xy[:, 0], xy[:, 1], -response))
     order = order[inside[order]][:count]
-    xy, size, angle, place = xy[order], size[order], angle[order], place[order]
-    column, row = column[order], row[order]
-
-    points_chart = np.column_stack([xy * image.pitch_mm, place[:, 0]])
-    normal = image.normal_chart[row, column].astype(float)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    direction = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
-    # The orientation is measured in the chart's plane; its tangent is what projects onto it along the chart's axis.
-    direction[:, 2] = -(direction[:, 0] * normal[:, 0] + direction[:, 1] * normal[:, 1]) / normal[:, 2]
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    frames = np.stack([direction, np.cross(normal, direction), normal], axis=2)
-    T_sensor_chart = invert(image.T_chart_sensor)
     return Keypoints(
-        np.asarray(transform_points(T_sensor_chart, points_chart), float),
-        T_sensor_chart[:3, :3] @ frames,
-        size,
-        place[:, 1:],
+        points[order],
+        frames[order],
+        size[order],
+        pixels[order],
         np.rint(descriptors[order]).astype(np.uint8),
         np.full(len(order), chart, np.intp),
-        xy,
-        angle,
+        xy[order],
+        angle[order],
     )
-
-
-def _sample(image: Map, xy: Array) -> Array:
-    """Values (N, C) of an image (h, w) or (h, w, C) at places (N, 2), linearly interpolated."""
-    if len(xy) == 0:
-        return np.empty((0, 1 if image.ndim == 2 else image.shape[2]))
-    at = xy.astype(np.float32)
-    values = cv2.remap(image, at[:, :1], at[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return values.reshape(len(xy), -1).astype(float)

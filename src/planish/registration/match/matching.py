@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.geometry import Array, invert, transform_points
-from planish.measurement import Map
+from planish.geometry import Array
 from planish.options import Options, thread_count
 from planish.registration.match.descriptors import nearest_neighbours
 from planish.registration.match.patches import Alignment, PatchSearch, PatchSide, align_patches
@@ -81,31 +79,11 @@ def _chosen(
 def _placed(
     side: PatchSide, index: NDArray[np.int64], found: Alignment, chosen: NDArray[np.int64]
 ) -> tuple[Array, Array, Array]:
-    """Points, frames and pixels of keypoints moved and turned along their surface (NaN beside it)."""
-    k = side.keypoints.take(index)
-    offset, turn = found.offset_mm[chosen], found.turn_rad[chosen]
-    points, pixels = np.full((len(k), 3), np.nan), np.full((len(k), 2), np.nan)
-    moved = np.einsum("mij,mj->mi", k.frames_sensor[:, :, :2], offset)
-    for chart, image in enumerate(side.images):
-        own = k.chart == chart
-        step = moved[own] @ image.T_chart_sensor[:2, :3].T
-        xy = k.chart_px[own] + step / image.pitch_mm
-        place = np.column_stack([xy * image.pitch_mm, _sample(image.height_mm, xy)])
-        points[own] = transform_points(invert(image.T_chart_sensor), place)
-        pixels[own] = _sample(image.source_px, xy)
-    turned = np.zeros((len(k), 3, 3))
-    turned[:, 0, 0] = turned[:, 1, 1] = np.cos(turn)
-    turned[:, 1, 0], turned[:, 0, 1] = np.sin(turn), -np.sin(turn)
-    turned[:, 2, 2] = 1.0
-    return points, k.frames_sensor @ turned, pixels
-
-
-def _sample(image: Map, xy: Array) -> Array:
-    """Values (N, C) of an image (h, w) or (h, w, C) at places (N, 2), linearly interpolated; NaN outside."""
-    if len(xy) == 0:
-        return np.empty((0, 1 if image.ndim == 2 else image.shape[2]))
-    at = xy.astype(np.float32)
-    values = cv2.remap(
-        image, at[:, :1], at[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan")
-    )
-    return values.reshape(len(xy), -1).astype(float)
+    """Points, frames and pixels of the aligned places in the images of keypoints `index`; NaN beside the surface."""
+    chart = side.keypoints.chart[index]
+    points, frames, pixels = np.empty((len(index), 3)), np.empty((len(index), 3, 3)), np.empty((len(index), 2))
+    for number, image in enumerate(side.images):
+        own = chart == number
+        at = chosen[own]
+        points[own], frames[own], pixels[own] = image.locate(found.chart_px[at], found.chart_angle_rad[at])
+    return points, frames, pixels

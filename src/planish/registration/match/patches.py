@@ -16,7 +16,7 @@ from planish.registration.texture.resample import TextureImage
 
 @dataclass(frozen=True)
 class Alignment:
-    """How M patches of a lie in those of b, which are drawn in the tangent frames of their keypoints.
+    """How M patches of a lie in the texture images of b.
 
     Parameters
     ----------
@@ -24,16 +24,16 @@ class Alignment:
         Normalised cross-correlation at the best alignment.
     significance : ndarray (M,)
         The same in standard deviations of the correlation of unrelated texture.
-    offset_mm : ndarray (M, 2)
-        The place of a's keypoint in b's tangent frame.
-    turn_rad : ndarray (M,)
-        The direction of a's orientation in it.
+    chart_px : ndarray (M, 2)
+        Where a's keypoint lies in the image of b's [texture px].
+    chart_angle_rad : ndarray (M,)
+        Direction of a's orientation there, from x towards y.
     """
 
     correlation: Array
     significance: Array
-    offset_mm: Array
-    turn_rad: Array
+    chart_px: Array
+    chart_angle_rad: Array
 
 
 @dataclass(frozen=True)
@@ -55,18 +55,14 @@ class PatchSide:
     patches: tuple[PatchImage, ...]
 
     def places(self, pitch_mm: float) -> Array:
-        """Return per keypoint (N, 6) its pixel in its chart and what a step of `pitch_mm` along its axes is there.
+        """Return per keypoint (N, 6) its pixel in its image and what a step of `pitch_mm` along its axes is there.
 
-        The charts are orthographic, so that a tangent seen under an angle is foreshortened: the patch undoes it.
+        The images are metric along the surface, so that an orientation and the pitch are all a patch needs.
         """
-        out = np.empty((len(self.keypoints), 6))
-        out[:, :2] = self.keypoints.chart_px
-        for chart, image in enumerate(self.images):
-            own = self.keypoints.chart == chart
-            tangents = self.keypoints.frames_sensor[own, :, :2]
-            in_chart = image.T_chart_sensor[:2, :3] @ tangents * (pitch_mm / image.pitch_mm)
-            out[own, 2:] = in_chart.reshape(-1, 4)
-        return out
+        k = self.keypoints
+        scale = pitch_mm / np.array([image.pitch_mm for image in self.images])[k.chart]
+        c, s = scale * np.cos(k.chart_angle_rad), scale * np.sin(k.chart_angle_rad)
+        return np.column_stack([k.chart_px, c, -s, s, c])
 
 
 def align_patches(
@@ -82,14 +78,21 @@ def align_patches(
     # Pairs of one keypoint of a in a row: its turned patches are drawn once.
     order = np.lexsort((index_b, index_a))
     pairs = np.column_stack([index_a, index_b])[order].astype(np.int32)
+    places_b = b.places(pitch_mm)
     found = np.empty((len(order), 5))
     found[order] = _core.align_patches(
         [p.value for p in a.patches], a.places(pitch_mm), a.keypoints.chart.astype(np.int32),
-        [p.value for p in b.patches], b.places(pitch_mm), b.keypoints.chart.astype(np.int32),
+        [p.value for p in b.patches], places_b, b.keypoints.chart.astype(np.int32),
         pairs, search.radius_px, search.reach_px, search.turns, search.turn_step_rad, threads,
     )  # fmt: skip
+    correlation, offset, turn, pixels = found[:, 0], found[:, 1:3], found[:, 3], found[:, 4]
     cells_a, cells_b = (np.array([p.cells_per_px for p in side.patches]) for side in (a, b))
     # The variance of the correlation holds the product of both autocorrelations, which are alike after the alignment.
     per_px = np.sqrt(cells_a[a.keypoints.chart[index_a]] * cells_b[b.keypoints.chart[index_b]])
-    significance = found[:, 0] * np.sqrt(found[:, 4] * per_px)
-    return Alignment(found[:, 0], significance, found[:, 1:3] * pitch_mm, found[:, 3])
+    axes = places_b[index_b, 2:].reshape(-1, 2, 2)
+    return Alignment(
+        correlation,
+        correlation * np.sqrt(pixels * per_px),
+        b.keypoints.chart_px[index_b] + np.einsum("mij,mj->mi", axes, offset),
+        b.keypoints.chart_angle_rad[index_b] + turn,
+    )
