@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
+import matched
 import sheets
 import synthetic
 from planish.geometry import transform_points
 from planish.registration.keypoints.blobs import Blobs, smooth_texture, spread_evenly
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
-from planish.registration.match.descriptors import match
 from planish.registration.texture.resample import TextureImage
 
 #: float64 products of rotations that come from float32 normals.
@@ -73,7 +73,7 @@ def test_points_and_normals_are_those_of_the_surface(sides):
 
 def test_matching_keypoints_have_the_same_place_and_frame_on_the_part(sides):
     a, b = (side.keypoints for side in sides)
-    found = match(a, b)
+    found = matched.by_descriptors(a, b)
     shift = found.points_a - transform_points(sheets.T_TRUE, found.points_b)
     distance = np.linalg.norm(shift, axis=1)
     right = distance < 2 * sheets.PITCH_MM
@@ -86,7 +86,7 @@ def test_matching_keypoints_have_the_same_place_and_frame_on_the_part(sides):
 
 def test_places_of_right_matches_are_not_shifted_on_average(sides):
     a, b = (side.keypoints for side in sides)
-    found = match(a, b)
+    found = matched.by_descriptors(a, b)
     shift = found.points_a - transform_points(sheets.T_TRUE, found.points_b)
     right = np.linalg.norm(shift, axis=1) < sheets.PITCH_MM
     # The mean of n shifts is known to their scatter over sqrt(n); a constant quarter of a pixel would stand out.
