@@ -107,17 +107,16 @@ def test_order_and_content_do_not_depend_on_the_number_of_threads(sides):
     assert len(seen) == 1
 
 
-def flat(value, sigma, mask=None, T_chart_sensor=None):
+def flat(value, sigma, mask=None):
     """A texture image of a plane, seen from its front: half a millimetre per pixel."""
     h, w = value.shape
     mask = np.ones((h, w), bool) if mask is None else mask
-    T = np.diag([1.0, -1.0, -1.0, 1.0]) if T_chart_sensor is None else T_chart_sensor
-    normal = np.broadcast_to(np.array([0, 0, -1], np.float32), (h, w, 3)).copy()
     source = np.stack(np.meshgrid(np.arange(w), np.arange(h)), -1).astype(np.float32)
-    height = np.where(mask, np.float32(0), np.float32(np.nan))
+    points = np.dstack([0.5 * source * np.float32([1, -1]), np.zeros((h, w), np.float32)])
+    normal, x_axis = (np.broadcast_to(np.array(v, np.float32), (h, w, 3)).copy() for v in ((0, 0, 1), (1, 0, 0)))
     return TextureImage(
-        T, 0.5, np.where(mask, value, 0).astype(np.float32), np.full((h, w), sigma, np.float32), height, normal, mask,
-        source,
+        0.5, np.where(mask, value, 0).astype(np.float32), np.full((h, w), sigma, np.float32), mask, points, normal,
+        x_axis, source,
     )  # fmt: skip
 
 
@@ -193,22 +192,6 @@ def test_the_rim_of_the_surface_has_no_keypoints():
     assert len(found) > 100
     # One and a half of the smaller scale of 2 px, less half a pixel of the refined place.
     assert min(column.min() - 50, 329 - column.max(), row.min() - 40, 259 - row.max()) >= 2.5
-
-
-def test_a_place_in_two_charts_is_described_in_the_one_that_faces_it():
-    value = 0.03 * noise((300, 300), 8, 2.0)
-    whole = flat(value, 0.002)
-    turn = np.deg2rad(30)
-    tilt = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
-    T = np.eye(4)
-    T[:3, :3] = tilt @ whole.T_chart_sensor[:3, :3]
-    # The same surface in a chart tilted by 30 degrees: its normals lean away from that chart's axis.
-    leaning = replace(
-        flat(value, 0.002, T_chart_sensor=T), normal_chart=(whole.normal_chart @ tilt.T.astype(np.float32))
-    )
-    found = detect_keypoints((leaning, whole))
-    assert len(found) > 100
-    assert set(found.chart) == {1}
 
 
 def test_the_descriptor_turns_with_the_picture():

@@ -62,12 +62,12 @@ def smooth_texture(image: TextureImage, scale_px: float) -> SmoothTexture:
     return SmoothTexture(scale_px, fine, np.where(image.mask, significance, np.float32(0)), image.mask)
 
 
-def find_blobs(texture: SmoothTexture, owned: NDArray[np.bool_], min_significance: float) -> Blobs:
-    """Return the extrema within `owned` (h, w), bright and dark, away from the rim of the surface."""
+def find_blobs(texture: SmoothTexture, min_significance: float) -> Blobs:
+    """Return the extrema, bright and dark, away from the rim of the surface."""
     strength = np.abs(texture.significance)
     peak = strength >= cv2.dilate(strength, _disc(texture.scale_px))
     rim = cv2.erode(texture.mask.astype(np.uint8), _disc(_RIM_SCALES * texture.scale_px), borderValue=0)
-    row, column = np.nonzero(peak & (rim > 0) & owned & (strength > min_significance))
+    row, column = np.nonzero(peak & (rim > 0) & (strength > min_significance))
     return Blobs(_refined(strength, row, column), strength[row, column].astype(float))
 
 

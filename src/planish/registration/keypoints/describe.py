@@ -1,4 +1,4 @@
-"""Descriptors: the smoothed texture around a keypoint in its own frame, on the tangent plane, in whole numbers.
+"""Descriptors: the smoothed texture around a keypoint in its own frame, in whole numbers.
 
 Linear on purpose: the squared distance of two descriptors is 2 - 2 times the correlation of what they describe. Where a
 pixel holds more noise than texture, histograms of gradients would add up the noise.
@@ -22,15 +22,13 @@ _WEIGHT_DEVIATION = 0.6
 _STEPS, _MIDDLE = 256.0, 128.0
 
 
-def describe(texture: SmoothTexture, xy: Array, frames_chart: Array, support_scales: float) -> NDArray[np.uint8]:
-    """Return the descriptors (N, 128) of places (N, 2) [texture px] with their frames (N, 3, 3) in the chart."""
+def describe(texture: SmoothTexture, xy: Array, angle: Array, support_scales: float) -> NDArray[np.uint8]:
+    """Return the descriptors (N, 128) of places (N, 2) [texture px] with their orientations (N,) [rad]."""
     x, y, weight = _pattern(support_scales)
     along, across = (x * np.float32(texture.scale_px), y * np.float32(texture.scale_px))
-    # A step on the tangent plane, seen along the chart's axis: so foreshortening by the chart leaves no trace.
-    tangent = frames_chart[:, :2, :2].astype(np.float32)
-    columns, rows = (
-        xy[:, i : i + 1].astype(np.float32) + tangent[:, i, :1] * along + tangent[:, i, 1:] * across for i in (0, 1)
-    )
+    cosine, sine = (f(angle)[:, None].astype(np.float32) for f in (np.cos, np.sin))
+    columns = xy[:, :1].astype(np.float32) + cosine * along - sine * across
+    rows = xy[:, 1:].astype(np.float32) + sine * along + cosine * across
     known = sample(texture.mask.astype(np.float32), columns, rows)
     value = sample(texture.value, columns, rows)
     share = known * weight

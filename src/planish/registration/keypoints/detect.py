@@ -7,7 +7,6 @@ Where texture is weak, the width of what is compared and not its detail decides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,7 +62,7 @@ class _Candidates:
         xy = np.concatenate([self.xy, self.xy[self.which[:seconds]]])
         angle = np.concatenate([self.angle, self.second_angle[:seconds]])
         places = places_on_surface(self.image, xy, angle)
-        words = describe(self.texture, places.xy, places.frames_chart, support_scales)
+        words = describe(self.texture, places.xy, places.angle, support_scales)
         size_mm = np.full(len(places), 2 * self.texture.scale_px * self.image.pitch_mm)
         return keypoints_at(self.chart, places, size_mm, words)
 
@@ -78,10 +77,9 @@ def detect_keypoints(images: tuple[TextureImage, ...], options: KeypointOptions 
             continue
         # Every scale and every part of the surface gets its share: which texture is good for what is not known before.
         share = options.max_keypoints * float(image.mask.sum()) / area / len(options.scales_px)
-        owned = _frontal(images, chart)
         # Coarse blobs are few: what they leave goes to the next scale.
         for scale in sorted(options.scales_px, reverse=True):
-            candidates.append(_candidates(image, chart, scale, owned, options, int(share + left)))
+            candidates.append(_candidates(image, chart, scale, options, int(share + left)))
             left += share - len(candidates[-1].xy)
     parts, spare = [], options.max_keypoints - sum(len(c.xy) for c in candidates)
     for i, c in enumerate(candidates):
@@ -97,10 +95,10 @@ def detect_keypoints(images: tuple[TextureImage, ...], options: KeypointOptions 
 
 
 def _candidates(
-    image: TextureImage, chart: int, scale_px: float, owned: NDArray[np.bool_], options: KeypointOptions, count: int
+    image: TextureImage, chart: int, scale_px: float, options: KeypointOptions, count: int
 ) -> _Candidates:
     texture = smooth_texture(image, scale_px)
-    blobs = find_blobs(texture, owned, options.min_significance)
+    blobs = find_blobs(texture, options.min_significance)
     xy = blobs.xy[spread_evenly(blobs, options.cell_scales * scale_px)[:count]]
     angle, which, second = orient(texture, xy, options.orientation_scales, options.second_orientation)
     return _Candidates(image, chart, texture, xy, angle, which, second)
@@ -112,20 +110,3 @@ def keypoints_at(chart: int, places: SurfacePlaces, size_mm: Array, descriptors:
         places.points_sensor, places.frames_sensor, size_mm, places.source_px, descriptors,
         np.full(len(places), chart, np.intp), places.xy, places.angle,
     )  # fmt: skip
-
-
-def _frontal(images: Sequence[TextureImage], chart: int) -> NDArray[np.bool_]:
-    """Where a chart (h, w) faces the surface more than the others do.
-
-    Charts overlap: a place that both described would be its own second nearest neighbour in every match.
-    """
-    image = images[chart]
-    owned = image.mask.copy()
-    for other, rival in enumerate(images):
-        if other != chart:
-            # The rival's axis, which points into the surface, in this chart's frame.
-            axis = image.T_chart_sensor[:3, :3] @ rival.T_chart_sensor[2, :3]
-            axis[2] -= 1.0
-            advantage = image.normal_chart @ axis.astype(np.float32)
-            owned &= (advantage > 0) | ((advantage == 0) & (chart < other))
-    return owned
