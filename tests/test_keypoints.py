@@ -194,6 +194,21 @@ def test_the_rim_of_the_surface_has_no_keypoints():
     assert min(column.min() - 50, 329 - column.max(), row.min() - 40, 259 - row.max()) >= 2.5
 
 
+def test_a_place_in_two_charts_is_described_once():
+    value = 0.03 * noise((300, 300), 8, 2.0)
+    left, right = np.ones((2, 300, 300), bool)
+    left[:, 200:], right[:, :100] = False, False
+    alone = detect_keypoints((flat(value, 0.002, left),))
+    both = detect_keypoints((flat(value, 0.002, left), flat(value, 0.002, right)))
+    # No two of one scale in two charts are nearer than the scale; beyond the overlap the second chart has its own.
+    first, second = both.take(both.chart == 0), both.take(both.chart == 1)
+    distance = np.linalg.norm(first.points_sensor[:, None] - second.points_sensor, axis=2)
+    same_size = first.size_mm[:, None] == second.size_mm
+    assert (distance[same_size] >= 1.0).all()
+    assert (second.chart_px[:, 0] > 195).sum() > 100
+    assert len(first) == len(alone)
+
+
 def test_the_descriptor_turns_with_the_picture():
     value = 0.03 * noise((240, 240), 9, 3.0)
     upright = detect_keypoints((flat(value, 0.001),))
