@@ -20,4 +20,10 @@ struct ChartFrame {
 void rasterise_chart(const Image<const float>& points, const Image<const float>& normals, const ChartFrame& frame,
                      double min_cosine, double max_edge, const Image<float>& source, const Image<float>& height);
 
+/// Value and standard deviation of a map at the places `source` of a chart, by cubic convolution. Where chart pixels
+/// are larger than the map's, the kernel widens with them: what the chart cannot show is averaged, not folded into it.
+/// `sigma` is that of independent errors. NaN where the kernel's core meets NaN; its outer part leaves NaN out.
+void sample_chart(const Image<const float>& value, const Image<const float>& sigma, const Image<const float>& source,
+                  int threads, const Image<float>& out_value, const Image<float>& out_sigma);
+
 }  // namespace planish

@@ -30,6 +30,21 @@ def rasterise_chart(
     height: int,
     width: int,
 ) -> tuple[F32, F32]: ...
+def sample_chart(value: F32, sigma: F32, source: F32, threads: int) -> tuple[F32, F32]: ...
+def block_sums(image: F32, low: float, high: float, factor: int, threads: int) -> tuple[F32, F32]: ...
+def camera_contrast(
+    images: Sequence[F32],
+    ranges: Sequence[tuple[float, float]],
+    inverse_level: Sequence[F32],
+    weight: Sequence[F32],
+    noise: Sequence[F32],
+    factor: int,
+    limit: float,
+    threads: int,
+) -> tuple[F32, F32]: ...
+def merge_contrasts(
+    views: Sequence[tuple[F32, F32, F32, F32, F32]], valid: U8, factor: int, threads: int
+) -> tuple[F32, F32]: ...
 def find_consensus(
     points_a: F64,
     points_b: F64,

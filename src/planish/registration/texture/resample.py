@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planish import _core
 from planish.geometry import Array, transform_points
 from planish.measurement import Map, Measurement
+from planish.options import thread_count
 from planish.registration.surface import Surface
 from planish.registration.texture.charts import ChartOptions, plan_charts
 from planish.registration.tiles import ground_sample_distance
@@ -59,11 +60,13 @@ def texture_images(
     contrast: tuple[Map, Map],
     pitch_mm: float,
     options: ChartOptions | None = None,
+    threads: int | None = None,
 ) -> tuple[TextureImage, ...]:
     """Return one TextureImage per chart of the measurement; `contrast` is value and sigma from `local_contrast`."""
     options = options or ChartOptions()
     charts = plan_charts(measurement, surface, options)
-    return tuple(_resample(measurement, surface, contrast, T, pitch_mm, options) for T in charts)
+    count = thread_count(threads)
+    return tuple(_resample(measurement, surface, contrast, T, pitch_mm, options, count) for T in charts)
 
 
 def _resample(
@@ -73,6 +76,7 @@ def _resample(
     T_chart_sensor: Array,
     pitch_mm: float,
     options: ChartOptions,
+    threads: int,
 ) -> TextureImage:
     min_cosine = float(np.cos(np.deg2rad(options.reach_deg)))
     width, height = _chart_size(surface, T_chart_sensor, pitch_mm, min_cosine)
@@ -81,18 +85,15 @@ def _resample(
         surface.points_sensor, surface.normals_sensor, T_chart_sensor, pitch_mm, min_cosine, max_edge, height, width
     )
     known = np.isfinite(z)
+    sampled, sigma = _core.sample_chart(*contrast, source, threads)
     u, v = (np.where(known, source[..., i], np.float32(-1e4)) for i in (0, 1))
-
-    def sample(image: Map, how: int) -> Map:
-        return cv2.remap(image, u, v, how, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
-
-    value, sigma = contrast
-    sampled_sigma = sample(sigma, cv2.INTER_LINEAR)
-    sampled = sample(np.nan_to_num(value, nan=0.0), cv2.INTER_CUBIC)
-    normal = sample(surface.normals_sensor, cv2.INTER_LINEAR) @ T_chart_sensor[:3, :3].T.astype(np.float32)
-    mask = known & np.isfinite(sampled) & np.isfinite(sampled_sigma) & np.isfinite(normal[..., 0])
+    seen = cv2.remap(
+        surface.normals_sensor, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(float("nan"),) * 3
+    )
+    normal = seen @ T_chart_sensor[:3, :3].T.astype(np.float32)
+    mask = known & np.isfinite(sampled) & np.isfinite(normal[..., 0])
     return TextureImage(
-        T_chart_sensor, pitch_mm, np.where(mask, sampled, np.float32(0)), np.where(mask, sampled_sigma, np.float32(0)),
+        T_chart_sensor, pitch_mm, np.where(mask, sampled, np.float32(0)), np.where(mask, sigma, np.float32(0)),
         np.where(mask, z, np.float32(np.nan)), normal, mask, source,
     )  # fmt: skip
 
