@@ -9,6 +9,7 @@
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
 #include "core/contrast.hpp"
+#include "core/fixed_pattern.hpp"
 
 namespace {
 
@@ -56,8 +57,8 @@ nb::tuple merge_contrasts(const nb::list& views, const In<std::uint8_t, 2>& vali
         const auto maps = nb::cast<nb::tuple>(item);
         const auto map = [&](int i) { return view<float, 2>(nb::cast<In<float, 2>>(maps[i])); };
         const auto place = nb::cast<In<float, 3>>(maps[2]);
-        parts.push_back({map(0), map(1), place.size() > 0 ? view<float, 3>(place) : planish::Image<const float>{},
-                         map(3), map(4)});
+        parts.push_back(
+            {map(0), map(1), place.size() > 0 ? view<float, 3>(place) : planish::Image<const float>{}, map(3), map(4)});
     }
     const auto points = view<std::uint8_t, 2>(valid);
     Owned<float> value(points.height, points.width, 1), sigma(points.height, points.width, 1);
@@ -68,11 +69,44 @@ nb::tuple merge_contrasts(const nb::list& views, const In<std::uint8_t, 2>& vali
     return nb::make_tuple(value.map(), sigma.map());
 }
 
+using Sums = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+planish::Image<float> writable(const Sums& map) {
+    return {map.data(), static_cast<int>(map.shape(0)), static_cast<int>(map.shape(1)), 1};
+}
+
+/// `sum` and `weights` are changed in place.
+void add_to_pattern(const In<float, 2>& value, const In<float, 2>& weight, int factor, const Sums& sum,
+                    const Sums& weights, int threads) {
+    const auto sums = writable(sum), totals = writable(weights);
+    nb::gil_scoped_release release;
+    planish::add_to_pattern(view<float, 2>(value), view<float, 2>(weight), factor, threads, sums, totals);
+}
+
+/// `own` of size 0: the contrast took no part in the sums.
+nb::tuple remove_pattern(const In<float, 2>& value, const In<float, 2>& variance, const In<float, 2>& own,
+                         const In<float, 2>& sum, const In<float, 2>& weight, const In<float, 2>& prior,
+                         const In<float, 2>& still, const In<float, 2>& gain, int factor, int threads) {
+    const auto in = view<float, 2>(value);
+    Owned<float> corrected(in.height, in.width, 1), uncertain(in.height, in.width, 1);
+    {
+        nb::gil_scoped_release release;
+        const planish::PatternKnowledge known{view<float, 2>(sum),   view<float, 2>(weight), view<float, 2>(prior),
+                                              view<float, 2>(still), view<float, 2>(gain),   factor};
+        const auto mine = own.size() > 0 ? view<float, 2>(own) : planish::Image<const float>{};
+        planish::remove_pattern(in, view<float, 2>(variance), mine, known, threads, corrected.image, uncertain.image);
+    }
+    return nb::make_tuple(corrected.map(), uncertain.map());
+}
+
 }  // namespace
 
 void bind_texture(nb::module_& m) {
     m.def("block_sums", &block_sums, "image"_a, "low"_a, "high"_a, "factor"_a, "threads"_a);
     m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "inverse_level"_a, "weight"_a, "noise"_a,
           "factor"_a, "limit"_a, "threads"_a);
+    m.def("add_to_pattern", &add_to_pattern, "value"_a, "weight"_a, "factor"_a, "sum"_a, "weights"_a, "threads"_a);
+    m.def("remove_pattern", &remove_pattern, "value"_a, "variance"_a, "own"_a, "sum"_a, "weight"_a, "prior"_a,
+          "still"_a, "gain"_a, "factor"_a, "threads"_a);
     m.def("merge_contrasts", &merge_contrasts, "views"_a, "valid"_a, "factor"_a, "threads"_a);
 }

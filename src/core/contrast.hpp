@@ -19,7 +19,7 @@ void block_sums(const Exposed& exposed, int factor, int threads, const Image<flo
 struct ContrastPlan {
     std::vector<Image<const float>> inverse_level;  ///< 1 / expected grey value, interpolated between block centres
     std::vector<Image<const float>> weight;         ///< of the image's contrast, constant over a block; 0 = unknown
-    std::vector<Image<const float>> noise;          ///< K x K: covariance of the contrasts' noise, constant over a block
+    std::vector<Image<const float>> noise;  ///< K x K: covariance of the contrasts' noise, constant over a block
     int factor = 1;
     float limit = 1;  ///< contrasts are clipped here
 };

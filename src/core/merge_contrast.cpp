@@ -43,8 +43,13 @@ Read read_cubic(const ContrastView& view, float u, float v) {
 class ViewRows {
   public:
     ViewRows(const ContrastView& view, int factor, int width)
-        : view_(view), shading_map_(view.shading, factor, width), trust_map_(view.trust, factor, width),
-          shading_(width), trust_(width), value_(width), variance_(width) {}
+        : view_(view),
+          shading_map_(view.shading, factor, width),
+          trust_map_(view.trust, factor, width),
+          shading_(width),
+          trust_(width),
+          value_(width),
+          variance_(width) {}
 
     /// Adds weight, weighted value, and the variance of that.
     void add(int v, float* __restrict weights, float* __restrict total, float* __restrict noise) {

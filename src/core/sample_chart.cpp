@@ -31,8 +31,8 @@ struct Taps {
     }
 };
 
-/// Map pixels per chart pixel along one axis of the map, at least 1. Of both neighbours the nearer one counts: the other
-/// may lie beyond a jump.
+/// Map pixels per chart pixel along one axis of the map, at least 1. Of both neighbours the nearer one counts: the
+/// other may lie beyond a jump.
 float stretch_at(const Image<const float>& source, int y, int x, int axis) {
     const auto step = [&](int dy, int dx) {
         float nearest = kMaxStretch;

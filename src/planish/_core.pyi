@@ -42,6 +42,19 @@ def camera_contrast(
     limit: float,
     threads: int,
 ) -> tuple[F32, F32]: ...
+def add_to_pattern(value: F32, weight: F32, factor: int, sum: F32, weights: F32, threads: int) -> None: ...
+def remove_pattern(
+    value: F32,
+    variance: F32,
+    own: F32,
+    sum: F32,
+    weight: F32,
+    prior: F32,
+    still: F32,
+    gain: F32,
+    factor: int,
+    threads: int,
+) -> tuple[F32, F32]: ...
 def merge_contrasts(
     views: Sequence[tuple[F32, F32, F32, F32, F32]], valid: U8, factor: int, threads: int
 ) -> tuple[F32, F32]: ...

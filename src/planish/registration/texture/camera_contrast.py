@@ -83,11 +83,14 @@ def camera_contrast(view: View, lowpass: Lowpass, limit: float) -> CameraContras
         limit,
         lowpass.threads,
     )
-    return CameraContrast(value, variance, kinds[names[0]].level, _room_share(kinds, dict(zip(names, weights, strict=True))))
+    return CameraContrast(
+        value, variance, kinds[names[0]].level, _room_share(kinds, dict(zip(names, weights, strict=True)))
+    )
 
 
 def _kinds(view: View, lowpass: Lowpass) -> dict[str, _Kind]:
-    dark, kinds = _dark_limit(view.noise), {}
+    dark = _dark_limit(view.noise)
+    kinds: dict[str, _Kind] = {}
     images = {"mean": view.mean, "white": view.white, "modulation": view.modulation}
     for name, image in images.items():
         if image is None or (name == "modulation" and view.mean is None):
@@ -98,7 +101,9 @@ def _kinds(view: View, lowpass: Lowpass) -> dict[str, _Kind]:
         # Mean and amplitude of N phase steps: 1 / N and 2 / N of the variance of one of them.
         share = {"mean": 1.0, "white": float(view.mean_images or 1), "modulation": 2.0}[name] / (view.mean_images or 1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            variance = np.where(level > 0, view.noise.variance(light) * np.float32(share) / level**2, np.float32(np.nan))
+            variance = np.where(
+                level > 0, view.noise.variance(light) * np.float32(share) / level**2, np.float32(np.nan)
+            )
         kinds[name] = _Kind(image, dark, high, level, variance.astype(np.float32))
     return kinds
 
@@ -151,7 +156,9 @@ def _excess(first: _Kind, other: _Kind, expected: Map) -> np.float32:
     with np.errstate(divide="ignore", invalid="ignore"):
         for kind in (first, other):
             grey = kind.image[np.ix_(rows, columns)]
-            ratios.append(np.where((grey > kind.low) & (grey < kind.high), grey / kind.level[blocks], np.float32(np.nan)))
+            ratios.append(
+                np.where((grey > kind.low) & (grey < kind.high), grey / kind.level[blocks], np.float32(np.nan))
+            )
         normal = (ratios[1] - ratios[0]) / np.sqrt(expected[blocks])
     normal = normal[np.isfinite(normal)]
     if normal.size < _MIN_COMPARED:
@@ -173,7 +180,7 @@ def _weights(kinds: dict[str, _Kind], covariance: Map | None) -> list[Map]:
             found["modulation"] = np.where(both, (mean - held) / determinant, found["modulation"])
     found = {name: np.nan_to_num(weight, nan=0.0, posinf=0.0).astype(np.float32) for name, weight in found.items()}
     total = np.maximum(sum(found.values(), start=np.float32(0)), np.float32(1e-30))
-    return [weight / total for weight in found.values()]
+    return [(weight / total).astype(np.float32) for weight in found.values()]
 
 
 def _room_share(kinds: dict[str, _Kind], weights: dict[str, Map]) -> Map:

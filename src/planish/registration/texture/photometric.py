@@ -10,7 +10,7 @@ on the organising camera's grid; the other camera is read at the measured corres
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from planish.measurement import Map, Measurement
 from planish.options import Options, thread_count
 from planish.registration.surface import Surface, fit_surface
 from planish.registration.texture.camera_contrast import CameraContrast, camera_contrast
+from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.lowpass import Lowpass, fill_gaps
 from planish.registration.texture.shading import projector_shading
 from planish.registration.tiles import ground_sample_distance
@@ -43,18 +44,20 @@ def local_contrast(
     measurement: Measurement,
     options: PhotometricOptions | None = None,
     surface: Surface | None = None,
+    fixed: FixedPattern | None = None,
     threads: int | None = None,
 ) -> tuple[Map, Map]:
     """Return the local contrast and its standard deviation on the organising camera's grid.
 
-    `surface` is the measurement's own fit, computed where it is not given and a projector is known.
+    `surface` is the measurement's own fit, computed where it is not given and a projector is known; `fixed` the pattern
+    of its sensor, which is removed.
 
     Returns
     -------
     value : ndarray (H, W) float32
         Relative deviation of the albedo from its surroundings, zero mean; NaN where unknown.
     sigma : ndarray (H, W) float32
-        Its standard deviation from camera noise.
+        Its standard deviation from camera noise and, with `fixed`, from what stays uncertain of the pattern.
     """
     options = options or PhotometricOptions()
     gsd = ground_sample_distance(measurement)
@@ -70,6 +73,10 @@ def local_contrast(
         name: camera_contrast(measurement.views[name], lowpass, options.max_contrast)
         for name in measurement.texture_views
     }
+    if fixed is not None:
+        for name, view in seen.items():
+            value, variance = fixed.remove(measurement, name, view.value, view.variance, lowpass.threads)
+            seen[name] = replace(view, value=value, variance=variance)
     return _merge(measurement, seen, relative, lowpass, options)
 
 
