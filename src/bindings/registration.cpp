@@ -39,13 +39,14 @@ nb::tuple rasterise_chart(const In<float, 3>& points, const In<float, 3>& normal
     return nb::make_tuple(source.maps(), z.map());
 }
 
-nb::tuple sample_chart(const In<float, 2>& value, const In<float, 2>& sigma, const In<float, 3>& source, int threads) {
+nb::tuple sample_chart(const In<float, 2>& value, const In<float, 2>& sigma, const In<float, 3>& source,
+                       float interpolated, int threads) {
     const auto places = view<float, 3>(source);
     Owned<float> out_value(places.height, places.width, 1), out_sigma(places.height, places.width, 1);
     {
         nb::gil_scoped_release release;
-        planish::sample_chart(view<float, 2>(value), view<float, 2>(sigma), places, threads, out_value.image,
-                              out_sigma.image);
+        planish::sample_chart(view<float, 2>(value), view<float, 2>(sigma), places, interpolated, threads,
+                              out_value.image, out_sigma.image);
     }
     return nb::make_tuple(out_value.map(), out_sigma.map());
 }
@@ -210,7 +211,7 @@ void bind_registration(nb::module_& m) {
     m.def("fit_surface", &fit_surface, "points"_a, "camera"_a, "radius"_a, "max_slope"_a, "threads"_a);
     m.def("rasterise_chart", &rasterise_chart, "points"_a, "normals"_a, "T_chart_sensor"_a, "pitch"_a, "min_cosine"_a,
           "max_edge"_a, "height"_a, "width"_a);
-    m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "source"_a, "threads"_a);
+    m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "source"_a, "interpolated"_a, "threads"_a);
     m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
           "frame_angle"_a, "normal_angle"_a, "min_baseline"_a, "seeds"_a, "partners"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,

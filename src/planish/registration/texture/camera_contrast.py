@@ -6,7 +6,7 @@ noise. Mean and modulation are computed from the same images: their noise is cor
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,8 @@ _MIN_SIGMAS = 3.0
 _COMPARED, _MIN_COMPARED = 40_000, 400
 #: Standard deviation over the median absolute deviation of normal errors.
 _PER_MAD = 1.4826
+#: White images below this share of saturation certainly are not.
+_UNSATURATED = 0.9
 #: The covariance of two kinds is held below the smaller variance, so that no weight is negative.
 _MAX_COVARIANCE = 0.9
 
@@ -89,23 +91,58 @@ def camera_contrast(view: View, lowpass: Lowpass, limit: float) -> CameraContras
 
 
 def _kinds(view: View, lowpass: Lowpass) -> dict[str, _Kind]:
-    dark = _dark_limit(view.noise)
+    """Return the images that hold texture, mean first, each with the variance that the camera's noise gives it."""
+    dark, images = _dark_limit(view.noise), float(view.mean_images or 1)
     kinds: dict[str, _Kind] = {}
-    images = {"mean": view.mean, "white": view.white, "modulation": view.modulation}
-    for name, image in images.items():
-        if image is None or (name == "modulation" and view.mean is None):
-            continue
-        high = view.saturation if name == "white" else np.inf
-        level = lowpass(image, dark, high)
-        light = kinds["mean"].level if name == "modulation" else level
-        # Mean and amplitude of N phase steps: 1 / N and 2 / N of the variance of one of them.
-        share = {"mean": 1.0, "white": float(view.mean_images or 1), "modulation": 2.0}[name] / (view.mean_images or 1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            variance = np.where(
-                level > 0, view.noise.variance(light) * np.float32(share) / level**2, np.float32(np.nan)
-            )
-        kinds[name] = _Kind(image, dark, high, level, variance.astype(np.float32))
+    if view.mean is not None:
+        kinds["mean"] = _kind(view.mean, (dark, np.inf), view.noise, 1 / images, lowpass)
+    if view.white is not None:
+        limits = (dark, _white_limit(view, lowpass))
+        kinds["white"] = _kind(view.white, limits, view.noise, 1.0, lowpass)
+    if view.mean is not None and view.modulation is not None:
+        # Amplitude of N phase steps: 2 / N of the variance of one of them, at the mean light.
+        light = kinds["mean"].level
+        found = _kind(view.modulation, (dark, np.inf), view.noise, 2 / images, lowpass, light)
+        loss = _saturation_loss(light, found.level, view.saturation)
+        kinds["modulation"] = replace(found, variance=found.variance * loss)
+        kinds["mean"] = replace(kinds["mean"], variance=kinds["mean"].variance * loss)
     return kinds
+
+
+def _kind(
+    image: Map, limits: tuple[float, float], noise: NoiseModel, share: float, lowpass: Lowpass, light: Map | None = None
+) -> _Kind:
+    level = lowpass(image, *limits)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = noise.variance(level if light is None else light) * np.float32(share) / level**2
+    return _Kind(image, *limits, level, np.where(level > 0, variance, np.float32(np.nan)).astype(np.float32))
+
+
+def _white_limit(view: View, lowpass: Lowpass) -> float:
+    """Return the grey value from which the white image may be saturated: a dark image was subtracted from it.
+
+    The dark image is what the mean of the fringe images exceeds half of white by.
+    """
+    if view.mean is None or view.white is None:
+        return view.saturation
+    dark = np.maximum(lowpass.centres(view.mean) - lowpass.centres(view.white) / 2, 0)
+    dark = dark[np.isfinite(dark) & (lowpass.centres(view.white) < _UNSATURATED * view.saturation)]
+    if dark.size == 0:
+        return view.saturation
+    # At most places; the dark image's own noise comes on top.
+    least = float(np.percentile(dark, 95))
+    return view.saturation - least - _MIN_SIGMAS * float(np.sqrt(view.noise.offset + view.noise.slope * least))
+
+
+def _saturation_loss(mean: Map, amplitude: Map, saturation: float) -> Map:
+    """Return the factor (h, w) on the variance of mean and amplitude where saturated steps are left out.
+
+    Of four steps one comes within 45 degrees of the crest. Where it is left out, the mean of the two beside it, with
+    twice the variance, tells the mean of all; more steps lose less.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crest = np.arccos(np.clip((saturation - mean) / amplitude, -1, 1))
+    return np.asarray(1 + np.nan_to_num(np.clip(crest / (np.pi / 4), 0, 1)), np.float32)
 
 
 def _dark_limit(noise: NoiseModel) -> float:

@@ -91,8 +91,8 @@ def pattern_weights(value: Map, threads: int) -> Map:
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.maximum(squares / count, np.float32(_MIN_DEVIATION**2))
-        weights: Map = np.where(count > 0, 1 / variance, np.float32(0)).astype(np.float32)
-    return weights
+        weights = np.where(count > 0, 1 / variance, np.float32(0))
+    return np.asarray(weights, np.float32)
 
 
 def counted_blocks(measurement: Measurement, camera: str) -> Map:
@@ -104,7 +104,7 @@ def counted_blocks(measurement: Measurement, camera: str) -> Map:
     shape = (-(-height // BLOCK_PX), -(-width // BLOCK_PX))
     if camera == measurement.organised_on:
         hit = np.pad(measurement.valid, [(0, n * BLOCK_PX - m) for n, m in zip(shape, (height, width), strict=True)])
-        return hit.reshape(shape[0], BLOCK_PX, shape[1], BLOCK_PX).any((1, 3)).astype(np.float32)
+        return np.asarray(hit.reshape(shape[0], BLOCK_PX, shape[1], BLOCK_PX).any((1, 3)), np.float32)
     assert measurement.correspondence_px is not None
     places = measurement.correspondence_px[::BLOCK_PX, ::BLOCK_PX].reshape(-1, 2)
     places = places[np.isfinite(places[:, 0])]

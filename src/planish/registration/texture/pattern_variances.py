@@ -22,6 +22,8 @@ _CORRELATED_PX = 3.0
 _DUST_SIGMAS = 4.0
 #: From this share of still texture on, a place says nothing about the level of the pattern.
 _MAX_STILL = 0.5
+#: From this one on, it cannot be told from dust: beside still texture, windows mix both.
+_MAX_STILL_AT_DUST = 0.25
 #: Without this share of places that do, the level stays unknown: all captures are of one place.
 _MIN_TELLING = 0.2
 #: Largest share of the captures' variance that is taken for the pattern when their information is judged.
@@ -59,7 +61,7 @@ class StillTexture:
 
     own: Map | None = None
     other: Map | None = None
-    weight: Map | None = None
+    count: Map | None = None
     maps: dict[str, Array] = field(default_factory=dict)
     captures: int = 0
 
@@ -81,15 +83,15 @@ class StillTexture:
         w = np.repeat(weight[: len(a)], BLOCK_PX, axis=1)[:, : a.shape[1]]
         known = np.isfinite(a) & np.isfinite(b) & (w > 0) & measurement.valid[rows]
         a, b, w = (np.where(known, m, np.float32(0)) for m in (a, b, w))
-        if self.own is None or self.other is None or self.weight is None:
-            self.own, self.other, self.weight = (np.zeros_like(a) for _ in range(3))
-        wa, wb = w * a, w * b
-        self.own += wa
-        self.other += wb
-        self.weight += w
+        if self.own is None or self.other is None or self.count is None:
+            self.own, self.other, self.count = (np.zeros_like(a) for _ in range(3))
+        # In units of its standard deviation, a strongly textured place counts no more than a weak one.
+        a, b = a * np.sqrt(w), b * np.sqrt(w)
+        self.own += a
+        self.other += b
+        self.count += known
         self.captures += 1
-        products = {"wab": wa * b, "wwab": wa * wb, "w": w, "ww": w * w, "waa": 0.5 * (wa * a + wb * b)}
-        sums = {name: _columns(m) for name, m in products.items()}
+        sums: dict[str, NDArray[Any]] = {"product": _columns(a * b), "count": _columns(known)}
         if place is not None:
             at = place[rows, BLOCK_PX // 2 :: BLOCK_PX]
             held = np.isfinite(at[..., 0])
@@ -100,14 +102,14 @@ class StillTexture:
         """Return the share (h, w) of the texture's variance that stood still, for a camera of h x w blocks."""
         assert self.own is not None
         assert self.other is not None
-        assert self.weight is not None
-        m = {name: _smooth(value, _WIDE_BLOCKS) for name, value in self.maps.items() if name not in ("seen", "u", "v")}
-        between = _smooth(_columns(self.own.astype(float) * self.other), _WIDE_BLOCKS) - m["wwab"]
-        pairs = _smooth(_columns(self.weight.astype(float) ** 2), _WIDE_BLOCKS) - m["ww"]
-        # Twice the standard deviation of `within` where there is no texture keeps the ratio quiet there.
-        samples = 4 * np.pi * _WIDE_BLOCKS**2 * BLOCK_PX * self.captures
+        assert self.count is not None
+        product, count = (_smooth(self.maps[name], _WIDE_BLOCKS) for name in ("product", "count"))
+        between = _smooth(_columns(self.own.astype(float) * self.other), _WIDE_BLOCKS) - product
+        pairs = _smooth(_columns(self.count.astype(float) ** 2), _WIDE_BLOCKS) - count
+        # Twice the standard deviation of the correlation where there is no texture keeps the ratio quiet there.
+        ridge = 2 / np.sqrt(4 * np.pi * _WIDE_BLOCKS**2 * BLOCK_PX * self.captures)
         with np.errstate(divide="ignore", invalid="ignore"):
-            within = np.maximum(m["wab"] / m["w"], 0) + 2 * m["waa"] / m["w"] / np.sqrt(samples)
+            within = np.maximum(product / count, 0) + ridge
             found = np.nan_to_num(between / pairs / within, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 1)
         out = np.zeros(shape)
         if own:
@@ -156,9 +158,9 @@ def pattern_variances(moments: Moments, weighted_sum: Map, weight: Map, still_sh
     enough = telling.sum() > _MIN_TELLING * measured.sum()
     response = max(0.0, float(np.median(level[telling]))) if enough else 0.0
     prior = response * (1 - still_share)
-    still = still_share * np.maximum(variance - noise - response, 0)
 
     covariance, variance, noise = estimates(_NARROW_BLOCKS)
+    still = still_share * np.maximum(variance - noise - response, 0)
     local = covariance - still_share * np.maximum(variance - noise, 0)
     window = 4 * np.pi * (_NARROW_BLOCKS * BLOCK_PX) ** 2
     texture = np.maximum(variance - noise - prior, 0)
@@ -167,7 +169,8 @@ def pattern_variances(moments: Moments, weighted_sum: Map, weight: Map, still_sh
         # Deviation of the covariance of independent captures: noise has as many cells as pixels, texture fewer.
         chance = np.sqrt((variance**2 + (_CORRELATED_PX * texture) ** 2) / window * 2 / (captures * (captures - 1)))
         part = np.nan_to_num(m["ww"] / m["w"])
-    prior = np.where(local - prior > _DUST_SIGMAS * chance, local, prior)
+    dust = (local - prior > _DUST_SIGMAS * chance) & (still_share < _MAX_STILL_AT_DUST)
+    prior = np.where(dust, local, prior)
     gain = 1 / (1 - np.minimum(prior * part, _MAX_PATTERN_SHARE))
     return prior.astype(np.float32), still.astype(np.float32), gain.astype(np.float32)
 
