@@ -50,7 +50,7 @@ def test_a_tiny_chart_is_rastered_as_defined():
     normals[0, :3] = [1, 0, 0]
     T = exp_se3([0.1, -0.05, 0.2, 0.5, 0.4, 1.0])
     args = (normals, T, 0.35, 0.8, 2.5, 24, 30)
-    source, z = _core.rasterise_chart(points.astype(np.float32), *args)
+    source, z = _core.rasterise_chart(points.astype(np.float32), *args, 2)
     source_twin, z_twin = reference.rasterise(points.astype(np.float32), *args)
     assert 100 < np.isfinite(z).sum() < z.size
     # The kernel is generous by 1e-4 of a triangle: pixels exactly on a rim may differ.
@@ -66,7 +66,7 @@ def test_of_two_layers_the_one_nearer_to_the_sensor_is_seen():
     gap = np.full((1, 4, 3), np.nan, np.float32)
     normals = np.tile(np.float32([0, 0, -1]), (9, 4, 1))
     for layers in ((near, gap, far), (far, gap, near)):
-        _, z = _core.rasterise_chart(np.concatenate(layers), normals, np.eye(4), 1.0, 0.8, 3.0, 4, 4)
+        _, z = _core.rasterise_chart(np.concatenate(layers), normals, np.eye(4), 1.0, 0.8, 3.0, 4, 4, 2)
         np.testing.assert_array_equal(z, 1)
 
 

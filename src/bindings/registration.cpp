@@ -28,13 +28,13 @@ nb::tuple fit_surface(const In<float, 3>& points, const In<double, 1>& camera, i
 }
 
 nb::tuple rasterise_chart(const In<float, 3>& points, const In<float, 3>& normals, const In<double, 2>& T_chart_sensor,
-                          double pitch, double min_cosine, double max_edge, int height, int width) {
+                          double pitch, double min_cosine, double max_edge, int height, int width, int threads) {
     Owned<float> source(height, width, 2), z(height, width, 1);
     {
         const Rigid T(T_chart_sensor);
         nb::gil_scoped_release release;
         planish::rasterise_chart(view<float, 3>(points), view<float, 3>(normals), {T.R, T.t, pitch}, min_cosine,
-                                 max_edge, source.image, z.image);
+                                 max_edge, threads, source.image, z.image);
     }
     return nb::make_tuple(source.maps(), z.map());
 }
@@ -210,7 +210,7 @@ void bind_registration(nb::module_& m) {
           "threads"_a);
     m.def("fit_surface", &fit_surface, "points"_a, "camera"_a, "radius"_a, "max_slope"_a, "threads"_a);
     m.def("rasterise_chart", &rasterise_chart, "points"_a, "normals"_a, "T_chart_sensor"_a, "pitch"_a, "min_cosine"_a,
-          "max_edge"_a, "height"_a, "width"_a);
+          "max_edge"_a, "height"_a, "width"_a, "threads"_a);
     m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "source"_a, "interpolated"_a, "threads"_a);
     m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
           "frame_angle"_a, "normal_angle"_a, "min_baseline"_a, "seeds"_a, "partners"_a, "keep"_a, "threads"_a);

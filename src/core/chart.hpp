@@ -18,12 +18,14 @@ struct ChartFrame {
 /// the one nearer to the sensor (least z) counts. Points whose normal leaves `min_cosine` of the chart's axis are left
 /// out.
 void rasterise_chart(const Image<const float>& points, const Image<const float>& normals, const ChartFrame& frame,
-                     double min_cosine, double max_edge, const Image<float>& source, const Image<float>& height);
+                     double min_cosine, double max_edge, int threads, const Image<float>& source,
+                     const Image<float>& height);
 
 /// Value and standard deviation of a map at the places `source` of a chart, by cubic convolution. Where chart pixels
 /// are larger than the map's, the kernel widens with them: what the chart cannot show is averaged, not folded into it.
-/// `sigma` is that of errors of which the share `interpolated` of the variance has been read by cubic convolution before,
-/// so that neighbours share it; the rest is independent. NaN where the kernel's core meets NaN; its outer part leaves NaN out.
+/// `sigma` is that of errors of which the share `interpolated` of the variance has been read by cubic convolution
+/// before, so that neighbours share it; the rest is independent. NaN where the kernel's core meets NaN; its outer part
+/// leaves NaN out.
 void sample_chart(const Image<const float>& value, const Image<const float>& sigma, const Image<const float>& source,
                   float interpolated, int threads, const Image<float>& out_value, const Image<float>& out_sigma);
 

@@ -23,13 +23,11 @@ Read read_cubic(const ContrastView& view, float u, float v) {
     if (!(u >= 1.0F && v >= 1.0F && u < static_cast<float>(width - 2) && v < static_cast<float>(height - 2))) return {};
     const int x = static_cast<int>(u), y = static_cast<int>(v);
     const float fx = u - static_cast<float>(x), fy = v - static_cast<float>(y);
-    float wx[4], wy[4], squares_x = 0, squares_y = 0;
-    for (int k = 0; k < 4; ++k) {
-        wx[k] = cubic_weight(fx - static_cast<float>(k - 1));
-        wy[k] = cubic_weight(fy - static_cast<float>(k - 1));
-        squares_x += wx[k] * wx[k];
-        squares_y += wy[k] * wy[k];
-    }
+    float wx[4], wy[4];
+    cubic_weights(fx, wx);
+    cubic_weights(fy, wy);
+    const float squares_x = wx[0] * wx[0] + wx[1] * wx[1] + wx[2] * wx[2] + wx[3] * wx[3];
+    const float squares_y = wy[0] * wy[0] + wy[1] * wy[1] + wy[2] * wy[2] + wy[3] * wy[3];
     float value = 0;
     for (int k = 0; k < 4; ++k) {
         const float* line = view.value.at(y + k - 1, x - 1);

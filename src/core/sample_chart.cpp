@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <vector>
 
 #include "core/chart.hpp"
 #include "core/cubic.hpp"
@@ -12,39 +13,62 @@ namespace {
 /// Chart pixels larger than so many map pixels are sampled as if they were of this size.
 constexpr float kMaxStretch = 4.0F;
 constexpr int kMaxTaps = 2 * static_cast<int>(2 * kMaxStretch) + 2;
+/// Kernels of so many taps are the rule; loops over a fixed number vectorise.
+constexpr int kFewTaps = 8;
+/// Kernels are made for so many places per pixel, and for widths in such parts of a pixel.
+constexpr int kPlaces = 256, kWidths = 8;
 /// Share of the kernel's weight that may lack.
 constexpr float kMinWeight = 0.75F;
-
-struct Taps {
-    int first = 0, count = 0;
-    float weight[kMaxTaps];
-
-    Taps(float place, float stretch) {
-        first = static_cast<int>(std::ceil(place - 2 * stretch));
-        count = std::min(kMaxTaps, static_cast<int>(std::floor(place + 2 * stretch)) - first + 1);
-        float sum = 0;
-        for (int k = 0; k < count; ++k) {
-            weight[k] = cubic_weight((static_cast<float>(first + k) - place) / stretch);
-            sum += weight[k];
-        }
-        for (int k = 0; k < count; ++k) weight[k] /= sum;
-    }
-};
 
 /// Correlation of white noise at 1, 2, 3 pixels after cubic convolution, over all places between pixels:
 /// autocorrelation of the kernel.
 constexpr float kCorrelation[] = {0.1557F, -0.0439F, 0.0022F};
 
-/// By how much the variance of the weighted sum is larger for such noise than for independent noise.
-float correlation_gain(const Taps& taps) {
-    float squares = 0, products = 0;
-    for (int k = 0; k < taps.count; ++k) {
-        squares += taps.weight[k] * taps.weight[k];
-        for (int lag = 1; lag <= 3 && k + lag < taps.count; ++lag)
-            products += 2 * kCorrelation[lag - 1] * taps.weight[k] * taps.weight[k + lag];
+/// The kernel for a place between two pixels.
+struct Taps {
+    int first = 0, count = 0;     ///< relative to the pixel before the place
+    float weight[kMaxTaps] = {};  ///< 0 beyond `count`
+    float gain = 1;               ///< of the variance, where the noise was read between pixels before
+
+    Taps() = default;
+    Taps(float place, float stretch) {
+        first = static_cast<int>(std::ceil(place - 2 * stretch));
+        count = std::min(kMaxTaps, static_cast<int>(std::floor(place + 2 * stretch)) - first + 1);
+        float sum = 0, squares = 0, products = 0;
+        for (int k = 0; k < count; ++k)
+            sum += weight[k] = cubic_weight((static_cast<float>(first + k) - place) / stretch);
+        for (int k = 0; k < count; ++k) weight[k] /= sum;
+        for (int k = 0; k < count; ++k) {
+            squares += weight[k] * weight[k];
+            for (int lag = 1; lag <= 3 && k + lag < count; ++lag)
+                products += 2 * kCorrelation[lag - 1] * weight[k] * weight[k + lag];
+        }
+        gain = 1 + products / squares;
     }
-    return 1 + products / squares;
-}
+};
+
+/// The kernels of all places and widths.
+class Kernels {
+  public:
+    Kernels() : taps_(static_cast<std::size_t>(kPlaces) * kStretches) {
+        for (int s = 0; s < kStretches; ++s)
+            for (int f = 0; f < kPlaces; ++f)
+                taps_[static_cast<std::size_t>(s) * kPlaces + f] =
+                    Taps(static_cast<float>(f) / kPlaces, 1.0F + static_cast<float>(s) / kWidths);
+    }
+
+    /// The kernel, and the pixel that it is relative to.
+    [[nodiscard]] const Taps& at(float place, float stretch, int& pixel) const {
+        const int fine = static_cast<int>(place * kPlaces + 0.5F),
+                  wide = static_cast<int>((stretch - 1) * kWidths + 0.5F);
+        pixel = fine / kPlaces;
+        return taps_[static_cast<std::size_t>(wide) * kPlaces + (fine - pixel * kPlaces)];
+    }
+
+  private:
+    static constexpr int kStretches = static_cast<int>((kMaxStretch - 1) * kWidths) + 1;
+    std::vector<Taps> taps_;
+};
 
 /// Map pixels per chart pixel along one axis of the map, at least 1. Of both neighbours the nearer one counts: the
 /// other may lie beyond a jump.
@@ -62,11 +86,68 @@ float stretch_at(const Image<const float>& source, int y, int x, int axis) {
     return std::max({1.0F, step(0, 1), step(1, 0)});
 }
 
+/// Sums over a kernel: weighted values, weights, squared weighted errors.
+struct Sums {
+    float value = 0, weight = 0, squares = 0;
+};
+
+/// The kernel's window: its first row and column, and its weights along both.
+struct Window {
+    int top, left;
+    const Taps &down, &across;
+};
+
+/// Inside the map and without gaps; NaN where there is one.
+Sums read_whole(const Image<const float>& value, const Image<const float>& sigma, const Window& w) {
+    float values[kFewTaps] = {}, squares[kFewTaps] = {};
+    for (int j = 0; j < w.down.count; ++j) {
+        const float* __restrict line = value.at(w.top + j, w.left);
+        const float* __restrict errors = sigma.at(w.top + j, w.left);
+        const float weight = w.down.weight[j];
+        for (int i = 0; i < kFewTaps; ++i) {
+            values[i] += weight * line[i];
+            squares[i] += (weight * errors[i]) * (weight * errors[i]);
+        }
+    }
+    Sums sums{0, 1, 0};
+    for (int i = 0; i < kFewTaps; ++i) {
+        sums.value += w.across.weight[i] * values[i];
+        sums.squares += w.across.weight[i] * w.across.weight[i] * squares[i];
+    }
+    return sums;
+}
+
+/// What is known of the kernel's window.
+Sums read_known(const Image<const float>& value, const Image<const float>& sigma, const Window& w) {
+    Sums sums;
+    for (int j = std::max(0, -w.top); j < std::min(w.down.count, value.height - w.top); ++j)
+        for (int i = std::max(0, -w.left); i < std::min(w.across.count, value.width - w.left); ++i) {
+            const float grey = *value.at(w.top + j, w.left + i), error = *sigma.at(w.top + j, w.left + i);
+            if (!(grey == grey && error == error)) continue;
+            const float weight = w.down.weight[j] * w.across.weight[i];
+            sums.value += weight * grey;
+            sums.weight += weight;
+            sums.squares += (weight * error) * (weight * error);
+        }
+    return sums;
+}
+
+Sums read(const Image<const float>& value, const Image<const float>& sigma, const Window& w) {
+    if (w.across.count <= kFewTaps && w.left >= 0 && w.left + kFewTaps <= value.width && w.top >= 0 &&
+        w.top + w.down.count <= value.height) {
+        const Sums sums = read_whole(value, sigma, w);
+        if (sums.value == sums.value && sums.squares == sums.squares) return sums;
+    }
+    return read_known(value, sigma, w);
+}
+
 }  // namespace
 
 void sample_chart(const Image<const float>& value, const Image<const float>& sigma, const Image<const float>& source,
                   float interpolated, int threads, const Image<float>& out_value, const Image<float>& out_sigma) {
     constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+    const auto right = static_cast<float>(value.width - 1), bottom = static_cast<float>(value.height - 1);
+    const Kernels kernels;
     parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {
         for (auto y = static_cast<int>(first); y < static_cast<int>(last); ++y)
             for (int x = 0; x < source.width; ++x) {
@@ -74,31 +155,14 @@ void sample_chart(const Image<const float>& value, const Image<const float>& sig
                 float& deviation = *out_sigma.at(y, x);
                 sampled = deviation = nan;
                 const float *place = source.at(y, x), u = place[0], v = place[1];
-                if (!(u >= 0 && v >= 0 && u <= static_cast<float>(value.width - 1) &&
-                      v <= static_cast<float>(value.height - 1)))
-                    continue;
-                const Taps across(u, stretch_at(source, y, x, 0)), down(v, stretch_at(source, y, x, 1));
-                float sum = 0, weights = 0, squares = 0;
-                for (int j = 0; j < down.count; ++j) {
-                    const int row = down.first + j;
-                    if (row < 0 || row >= value.height) continue;
-                    const int begin = std::max(0, -across.first);
-                    const int end = std::min(across.count, value.width - across.first);
-                    const float* line = value.row(row) + across.first;
-                    const float* errors = sigma.row(row) + across.first;
-                    for (int i = begin; i < end; ++i) {
-                        const bool known = line[i] == line[i] && errors[i] == errors[i];
-                        const float w = known ? down.weight[j] * across.weight[i] : 0.0F;
-                        const float error = known ? w * errors[i] : 0.0F;
-                        sum += w * (known ? line[i] : 0.0F);
-                        weights += w;
-                        squares += error * error;
-                    }
-                }
-                if (weights < kMinWeight) continue;
-                sampled = sum / weights;
-                const float gain = 1 + interpolated * (correlation_gain(across) * correlation_gain(down) - 1);
-                deviation = std::sqrt(squares * gain) / weights;
+                if (!(u >= 0 && v >= 0 && u <= right && v <= bottom)) continue;  // NaN: no surface
+                int row = 0, column = 0;
+                const Taps& across = kernels.at(u, stretch_at(source, y, x, 0), column);
+                const Taps& down = kernels.at(v, stretch_at(source, y, x, 1), row);
+                const Sums sums = read(value, sigma, {row + down.first, column + across.first, down, across});
+                if (sums.weight < kMinWeight) continue;
+                sampled = sums.value / sums.weight;
+                deviation = std::sqrt(sums.squares * (1 + interpolated * (across.gain * down.gain - 1))) / sums.weight;
             }
     });
 }

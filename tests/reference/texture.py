@@ -92,7 +92,11 @@ def merge_contrasts(views, valid, factor):
 
 
 def sample_chart(value, sigma, source, stretch, interpolated):
-    """`stretch` (along u, along v) alike for all pixels, which lie inside the map."""
+    """`stretch` (along u, along v) alike for all pixels, which lie inside the map.
+
+    Kernels exist for every 256th of a pixel, and for widths in eighths of one.
+    """
+    source, stretch = np.floor(source * 256 + 0.5) / 256, 1 + np.floor((np.asarray(stretch) - 1) * 8 + 0.5) / 8
     lags = np.array([1.0, 0.15570175, -0.04385965, 0.00219298])
     out = np.empty((2, *source.shape[:2]))
     for y, x in np.ndindex(*source.shape[:2]):

@@ -17,11 +17,13 @@ from planish.registration.texture.lowpass import Lowpass
 #: Grey values below so many standard deviations of their noise hold no texture.
 _MIN_SIGMAS = 3.0
 #: Pixels at which kinds of images are compared, about, and the fewest that say anything.
-_COMPARED, _MIN_COMPARED = 40_000, 400
+_COMPARED, _MIN_COMPARED = 20_000, 400
 #: Standard deviation over the median absolute deviation of normal errors.
 _PER_MAD = 1.4826
 #: White images below this share of saturation certainly are not.
 _UNSATURATED = 0.9
+#: Every so many pixels tell the dark image.
+_SPARSE = 8
 #: The covariance of two kinds is held below the smaller variance, so that no weight is negative.
 _MAX_COVARIANCE = 0.9
 
@@ -97,7 +99,7 @@ def _kinds(view: View, lowpass: Lowpass) -> dict[str, _Kind]:
     if view.mean is not None:
         kinds["mean"] = _kind(view.mean, (dark, np.inf), view.noise, 1 / images, lowpass)
     if view.white is not None:
-        limits = (dark, _white_limit(view, lowpass))
+        limits = (dark, _white_limit(view))
         kinds["white"] = _kind(view.white, limits, view.noise, 1.0, lowpass)
     if view.mean is not None and view.modulation is not None:
         # Amplitude of N phase steps: 2 / N of the variance of one of them, at the mean light.
@@ -118,15 +120,16 @@ def _kind(
     return _Kind(image, *limits, level, np.where(level > 0, variance, np.float32(np.nan)).astype(np.float32))
 
 
-def _white_limit(view: View, lowpass: Lowpass) -> float:
+def _white_limit(view: View) -> float:
     """Return the grey value from which the white image may be saturated: a dark image was subtracted from it.
 
     The dark image is what the mean of the fringe images exceeds half of white by.
     """
     if view.mean is None or view.white is None:
         return view.saturation
-    dark = np.maximum(lowpass.centres(view.mean) - lowpass.centres(view.white) / 2, 0)
-    dark = dark[np.isfinite(dark) & (lowpass.centres(view.white) < _UNSATURATED * view.saturation)]
+    white, mean = (m[_SPARSE // 2 :: _SPARSE, _SPARSE // 2 :: _SPARSE] for m in (view.white, view.mean))
+    dark = np.maximum(mean - white / 2, 0)
+    dark = dark[np.isfinite(dark) & (white < _UNSATURATED * view.saturation)]
     if dark.size == 0:
         return view.saturation
     # At most places; the dark image's own noise comes on top.

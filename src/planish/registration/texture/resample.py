@@ -85,7 +85,15 @@ def _resample(
     width, height = _chart_size(surface, T_chart_sensor, pitch_mm, min_cosine)
     max_edge = _MAX_EDGE_GSD * ground_sample_distance(measurement)
     source, z = _core.rasterise_chart(
-        surface.points_sensor, surface.normals_sensor, T_chart_sensor, pitch_mm, min_cosine, max_edge, height, width
+        surface.points_sensor,
+        surface.normals_sensor,
+        T_chart_sensor,
+        pitch_mm,
+        min_cosine,
+        max_edge,
+        height,
+        width,
+        threads,
     )
     known = np.isfinite(z)
     interpolated = _INTERPOLATED_SHARE if len(measurement.texture_views) > 1 else 0.0
