@@ -144,8 +144,8 @@ def test_a_match_that_shares_its_direction_with_all_others_agrees_more_easily():
     coarse = CoarseResult((), 1e-12, 400)
     any_direction = chance_of_agreement(matches, np.eye(4), coarse)
     one_direction = chance_of_agreement(replace(matches, frames_a=brushed, frames_b=brushed), np.eye(4), coarse)
-    # Orientations agree within 0.35 rad of pi; the normals of both agree.
-    assert one_direction / any_direction == pytest.approx(np.pi / 0.35, rel=0.3)
+    # Orientations agree within an angle out of pi; the normals of both agree.
+    assert one_direction / any_direction == pytest.approx(np.pi / coarse.options.frame_angle_rad, rel=0.3)
     # Places spread over 300 x 250 mm (the root of this area is the places' own), 1.5 mm around each.
     assert one_direction == pytest.approx(np.pi * 1.5**2 / (300 * 250), rel=0.2)
 

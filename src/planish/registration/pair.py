@@ -14,7 +14,9 @@ from planish.options import Options
 from planish.registration.consensus import ConsensusOptions, find_consensus
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
-from planish.registration.match.descriptors import MatchOptions, match
+from planish.registration.match.matching import MatchOptions, match
+from planish.registration.match.patches import PatchSide
+from planish.registration.match.whitening import PatchImage, patch_images
 from planish.registration.matches import Matches
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
@@ -23,6 +25,7 @@ from planish.registration.refine.residuals import JointSide, held_out_pixels, jo
 from planish.registration.refine.solve import Refined, RefineOptions, refine
 from planish.registration.result import PairResult
 from planish.registration.surface import Surface, SurfaceOptions, fit_surface
+from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.charts import ChartOptions
 from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
@@ -53,6 +56,7 @@ class Prepared:
     surface: Surface
     contrast: tuple[Map, Map]
     images: tuple[TextureImage, ...]
+    patches: tuple[PatchImage, ...]
     keypoints: Keypoints
     #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
     sides: Mapping[float, JointSide]
@@ -86,18 +90,25 @@ def length_factor(gsd_mm: float) -> float:
 
 
 def prepare(
-    measurement: Measurement, pitch_mm: float, options: PairOptions | None = None, threads: int | None = None
+    measurement: Measurement,
+    pitch_mm: float,
+    options: PairOptions | None = None,
+    threads: int | None = None,
+    fixed: FixedPattern | None = None,
 ) -> Prepared:
-    """Return surface, texture images, keypoints and refinement maps of one measurement."""
+    """Return surface, texture images, keypoints and refinement maps of one measurement.
+
+    `fixed` is the pattern of its sensor (`estimate_fixed_patterns`), which is no texture.
+    """
     options = options or PairOptions()
     surface = fit_surface(measurement, options.surface, threads)
-    contrast = local_contrast(measurement, options.photometric, surface, threads)
+    contrast = local_contrast(measurement, options.photometric, surface, fixed, threads)
     images = texture_images(measurement, surface, contrast, pitch_mm, options.charts, threads)
     keypoints = detect_keypoints(images, options.keypoints)
     kept = ~held_out_pixels(measurement)
     sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
     fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
-    return Prepared(measurement, surface, contrast, images, keypoints, sides, fit_sides)
+    return Prepared(measurement, surface, contrast, images, patch_images(images), keypoints, sides, fit_sides)
 
 
 def register_pair(
@@ -105,10 +116,12 @@ def register_pair(
 ) -> PairResult:
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
     options = options or PairOptions()
-    matches = match(a.keypoints, b.keypoints, options.match, threads)
+    matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse = find_consensus(matches, options.consensus, threads)
     side_a, side_b = (Side(p.measurement, p.images, p.contrast) for p in (a, b))
-    verdict = judge_coarse(side_a, side_b, matches, coarse, pairs_in_run, options.verdict, threads=threads)
+    verdict = judge_coarse(
+        side_a, side_b, matches, coarse, pairs_in_run, options.verdict, _looked_at_mm(a, options), threads
+    )
     first = verdict.first
     result = PairResult(
         a=a.measurement.name,
@@ -129,6 +142,16 @@ def register_pair(
     if first is None or result.status != "accepted":
         return result
     return _refined_result(a, b, verdict, first, result, options, threads)
+
+
+def _looked_at_mm(side: Prepared, options: PairOptions) -> float | None:
+    """How far around its place a match has compared the texture [mm]."""
+    radius_px = options.match.patch_radius_px + options.match.reach_px
+    return radius_px * side.images[0].pitch_mm if side.images else None
+
+
+def _patch_side(side: Prepared) -> PatchSide:
+    return PatchSide(side.keypoints, side.images, side.patches)
 
 
 def _refined_result(
