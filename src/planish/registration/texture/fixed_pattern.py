@@ -18,7 +18,7 @@ import numpy as np
 from planish import _core
 from planish.measurement import Map, Measurement
 from planish.options import thread_count
-from planish.registration.texture.camera_contrast import camera_contrast
+from planish.registration.texture.camera_contrast import camera_contrast, view_of_surface
 from planish.registration.texture.camera_pattern import (
     BLOCK_PX,
     CameraPattern,
@@ -111,7 +111,7 @@ def _add(run: _Run, measurement: Measurement, options: PhotometricOptions, threa
     values: dict[str, Map] = {}
     weights: dict[str, Map] = {}
     for name in measurement.texture_views:
-        seen = camera_contrast(measurement.views[name], lowpass, options.max_contrast)
+        seen = camera_contrast(view_of_surface(measurement, name), lowpass, options.max_contrast)
         sums = run.cameras.setdefault(name, _Sums.of(seen.value.shape))
         values[name] = seen.value
         weights[name] = pattern_weights(seen.value, threads) * counted_blocks(measurement, name)
