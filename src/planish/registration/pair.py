@@ -11,8 +11,12 @@ from planish.geometry import Array, transform_points
 from planish.measurement import Map, Measurement
 from planish.options import Options
 from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
-from planish.registration.keypoints import KeypointOptions, Keypoints, detect_keypoints
-from planish.registration.match import Matches, MatchOptions, match
+from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
+from planish.registration.keypoints.keypoints import Keypoints
+from planish.registration.match.matching import MatchOptions, match
+from planish.registration.match.patches import PatchSide
+from planish.registration.match.whitening import PatchImage, patch_images
+from planish.registration.matches import Matches
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.refine.overlap import overlap_extent
@@ -25,15 +29,9 @@ from planish.registration.texture.charts import ChartOptions
 from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
 from planish.registration.tiles import ground_sample_distance, tile_size_px
-from planish.registration.verdict import (
-    VerdictOptions,
-    judge_coarse,
-    judge_refined,
-    log10_false_alarms,
-    runner_up,
-    same_sensor,
-    standing_still,
-)
+from planish.registration.verdict.false_alarms import log10_false_alarms
+from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined, runner_up
+from planish.registration.verdict.still import same_sensor, standing_still
 
 
 class PairOptions(Options):
@@ -57,6 +55,7 @@ class Prepared:
     surface: Surface
     contrast: tuple[Map, Map]
     images: tuple[TextureImage, ...]
+    patches: tuple[PatchImage, ...]
     keypoints: Keypoints
     #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
     sides: Mapping[float, JointSide]
@@ -108,7 +107,7 @@ def prepare(
     kept = ~held_out_pixels(measurement)
     sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
     fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
-    return Prepared(measurement, surface, contrast, images, keypoints, sides, fit_sides)
+    return Prepared(measurement, surface, contrast, images, patch_images(images), keypoints, sides, fit_sides)
 
 
 def register_pair(
@@ -116,7 +115,7 @@ def register_pair(
 ) -> PairResult:
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
     options = options or PairOptions()
-    matches = match(a.keypoints, b.keypoints, options.match, threads)
+    matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse, still_share = _moving_consensus(a, b, matches, options, threads)
     centre_b = b.keypoints.points_sensor.mean(0) if len(b.keypoints) else np.zeros(3)
     other = runner_up(coarse, centre_b, pairs_in_run)
@@ -132,12 +131,16 @@ def register_pair(
         log10_false_alarms=log10_false_alarms(best.places if best else 0, coarse.places, coarse.chance, pairs_in_run),
         runner_up=other,
         T_coarse_a_b=best.T_a_b if best else None,
-        matches_px=_pixels(a, b, matches),
-        consensus_px=_pixels(a, b, matches.take(best.members)) if best else np.empty((0, 4)),
+        matches_px=_pixels(matches),
+        consensus_px=_pixels(matches.take(best.members)) if best else np.empty((0, 4)),
     )
     if best is None or judgement.status != "accepted":
         return result
     return _refined_result(a, b, best.T_a_b, matches.take(best.members), result, options, threads)
+
+
+def _patch_side(side: Prepared) -> PatchSide:
+    return PatchSide(side.keypoints, side.images, side.patches)
 
 
 def _moving_consensus(
@@ -148,14 +151,14 @@ def _moving_consensus(
     Where the best consensus stands still (sensor pattern, background), the texture of the part may hide behind it: what
     moves is asked alone before the pair is given up.
     """
-    coarse = find_consensus(a.keypoints, b.keypoints, matches, options.consensus, threads)
+    coarse = find_consensus(matches, options.consensus, threads)
     if not coarse.candidates or not same_sensor(a.measurement, b.measurement):
         return coarse, 0.0
-    still = standing_still(a.keypoints, b.keypoints, matches, options.verdict.still_px)
+    still = standing_still(matches, options.verdict.still_px)
     share = float(still[coarse.candidates[0].members].mean())
     if share <= options.verdict.still_share:
         return coarse, share
-    moving = find_consensus(a.keypoints, b.keypoints, matches, options.consensus, threads, exclude=still)
+    moving = find_consensus(matches, options.consensus, threads, exclude=still)
     if moving.candidates:
         best = moving.candidates[0]
         alarms = log10_false_alarms(best.places, moving.places, moving.chance, 1)
@@ -178,9 +181,7 @@ def _refined_result(
         judgement = judge_refined(None, (), 0.0, options.verdict)
         assert judgement is not None
         return replace(result, status=judgement.status, reason=judgement.reason)
-    points_a = a.keypoints.points_sensor[members.index_a]
-    points_b = b.keypoints.points_sensor[members.index_b]
-    residual = points_a - transform_points(refined.T_a_b, points_b)
+    residual = members.points_a - transform_points(refined.T_a_b, members.points_b)
     drift = float(np.sqrt((residual**2).sum(1).mean()))
     covariance = noise_covariance(refined)
     directions = observability(refined, covariance)
@@ -223,5 +224,5 @@ def pair_shifts(
     return calibration_shifts(*sides, refined, options.refine, threads)
 
 
-def _pixels(a: Prepared, b: Prepared, matches: Matches) -> Array:
-    return np.hstack([a.keypoints.pixels[matches.index_a], b.keypoints.pixels[matches.index_b]])
+def _pixels(matches: Matches) -> Array:
+    return np.hstack([matches.pixels_a, matches.pixels_b])
