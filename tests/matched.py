@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from planish.geometry import exp_se3, exp_so3, transform_points
-from planish.registration.keypoints import Keypoints
-from planish.registration.match import Matches
+from planish.registration.keypoints.keypoints import Keypoints
+from planish.registration.matches import Matches
 
 T_TRUE = exp_se3([0.1, -0.2, 1.9, 40, -20, 10])
 
@@ -29,7 +29,8 @@ def keypoints(points, frames_sensor, rng):
     n = len(points)
     return Keypoints(
         np.asarray(points, float), np.asarray(frames_sensor, float), np.full(n, 5.0), rng.uniform(0, 1000, (n, 2)),
-        rng.integers(0, 256, (n, 128)).astype(np.uint8),
+        rng.integers(0, 256, (n, 128)).astype(np.uint8), np.zeros(n, np.intp), rng.uniform(0, 1000, (n, 2)),
+        rng.uniform(-np.pi, np.pi, n),
     )  # fmt: skip
 
 
@@ -50,8 +51,14 @@ def pair(rng, total, groups=((0, T_TRUE),), noise_mm=0.2, turn_rad=0.08):
         frames_a[one] = T[:3, :3] @ b.frames_sensor[one] @ turns
         start += number
     a = keypoints(points_a, frames_a, rng)
-    index = np.arange(total)
-    return a, b, Matches(index, index, np.full(total, 0.8))
+    return a, b, matches_of(a, b)
+
+
+def matches_of(a, b):
+    """Each keypoint of a with that of the same number in b."""
+    return Matches(
+        a.points_sensor, b.points_sensor, a.frames_sensor, b.frames_sensor, a.pixels, b.pixels, np.full(len(a), np.nan)
+    )
 
 
 def shuffled(rng, matches):

@@ -10,17 +10,15 @@ from matched import T_TRUE
 from planish import _core
 from planish.geometry import exp_se3, rotation_angle, transform_points
 from planish.registration.consensus import ConsensusOptions, count_places, find_consensus
-from planish.registration.verdict import log10_false_alarms
+from planish.registration.verdict.false_alarms import log10_false_alarms
 from reference import consensus as reference
 
 #: A rigid fit to 15 places of 0.2 mm noise over 300 mm, with a tolerance of 1 mm that may let one wrong match in.
 TRANSFORM_TOLERANCE_MM = 0.8
 
 
-def arrays(a, b, m):
-    return (
-        a.points_sensor[m.index_a], b.points_sensor[m.index_b], a.frames_sensor[m.index_a], b.frames_sensor[m.index_b]
-    )  # fmt: skip
+def arrays(m):
+    return m.points_a, m.points_b, m.frames_a, m.frames_b
 
 
 def worst_error_mm(T, points_b):
@@ -30,8 +28,8 @@ def worst_error_mm(T, points_b):
 @pytest.mark.parametrize("seed", range(8))
 def test_three_percent_of_right_matches_among_500_give_the_right_transform(seed):
     rng = np.random.default_rng(seed)
-    a, b, matches = matched.pair(rng, 500, ((15, T_TRUE),))
-    found = find_consensus(a, b, matched.shuffled(rng, matches))
+    _, b, matches = matched.pair(rng, 500, ((15, T_TRUE),))
+    found = find_consensus(matched.shuffled(rng, matches))
     best = found.candidates[0]
     assert worst_error_mm(best.T_a_b, b.points_sensor) < TRANSFORM_TOLERANCE_MM
     assert best.places >= 13
@@ -40,42 +38,40 @@ def test_three_percent_of_right_matches_among_500_give_the_right_transform(seed)
 
 def test_members_are_the_matches_that_agree_by_definition():
     rng = np.random.default_rng(3)
-    a, b, matches = matched.pair(rng, 300, ((60, T_TRUE),))
-    best = find_consensus(a, b, matches).candidates[0]
+    a, _, matches = matched.pair(rng, 300, ((60, T_TRUE),))
+    best = find_consensus(matches).candidates[0]
     o = ConsensusOptions()
-    expected = reference.agreeing(
-        best.T_a_b, *arrays(a, b, matches), o.tolerance_mm, o.normal_angle_rad, o.frame_angle_rad
-    )
+    expected = reference.agreeing(best.T_a_b, *arrays(matches), o.tolerance_mm, o.normal_angle_rad, o.frame_angle_rad)
     np.testing.assert_array_equal(best.members, expected)
     assert best.places == count_places(a.points_sensor[best.members], o.distinct_mm)
 
 
 def test_the_kernel_counts_the_support_of_its_transforms_rightly():
     rng = np.random.default_rng(5)
-    a, b, matches = matched.pair(rng, 300, ((60, T_TRUE),))
+    matches = matched.pair(rng, 300, ((60, T_TRUE),))[2]
     o = ConsensusOptions()
     transforms, support = _core.find_consensus(
-        *arrays(a, b, matches), o.tolerance_mm, o.frame_angle_rad, o.normal_angle_rad, o.min_baseline_mm, 50, 20, 5, 2
+        *arrays(matches), o.tolerance_mm, o.frame_angle_rad, o.normal_angle_rad, o.min_baseline_mm, 50, 20, 5, 2
     )
     assert len(transforms) >= 1
     assert (np.diff(support.ravel()) <= 0).all()
     for T, count in zip(transforms, support.ravel(), strict=True):
-        assert len(reference.agreeing(T, *arrays(a, b, matches), o.tolerance_mm, o.normal_angle_rad)) == count
+        assert len(reference.agreeing(T, *arrays(matches), o.tolerance_mm, o.normal_angle_rad)) == count
 
 
 def test_the_consensus_is_the_same_for_any_number_of_threads():
     rng = np.random.default_rng(6)
-    a, b, matches = matched.pair(rng, 400, ((40, T_TRUE),))
-    results = [find_consensus(a, b, matches, threads=threads) for threads in (1, 2, 8)]
+    matches = matched.pair(rng, 400, ((40, T_TRUE),))[2]
+    results = [find_consensus(matches, threads=threads) for threads in (1, 2, 8)]
     assert len({r.candidates[0].T_a_b.tobytes() + r.candidates[0].members.tobytes() for r in results}) == 1
 
 
 def test_the_order_of_the_matches_does_not_matter():
     rng = np.random.default_rng(7)
-    a, b, matches = matched.pair(rng, 400, ((40, T_TRUE),))
-    first = find_consensus(a, b, matches).candidates[0]
+    matches = matched.pair(rng, 400, ((40, T_TRUE),))[2]
+    first = find_consensus(matches).candidates[0]
     order = rng.permutation(len(matches))
-    second = find_consensus(a, b, matches.take(order)).candidates[0]
+    second = find_consensus(matches.take(order)).candidates[0]
     assert set(order[second.members]) == set(first.members)
     np.testing.assert_allclose(second.T_a_b, first.T_a_b, atol=1e-9)  # sums in another order
 
@@ -83,8 +79,8 @@ def test_the_order_of_the_matches_does_not_matter():
 def test_a_second_motion_is_the_second_candidate():
     rng = np.random.default_rng(8)
     other = T_TRUE @ exp_se3([0, 0, 0, 35, 0, 0])
-    a, b, matches = matched.pair(rng, 300, ((60, T_TRUE), (40, other)))
-    first, second = find_consensus(a, b, matches).candidates
+    _, b, matches = matched.pair(rng, 300, ((60, T_TRUE), (40, other)))
+    first, second = find_consensus(matches).candidates
     assert worst_error_mm(first.T_a_b, b.points_sensor) < TRANSFORM_TOLERANCE_MM
     assert rotation_angle(second.T_a_b[:3, :3].T @ other[:3, :3]) < 0.01
     assert set(first.members) <= set(range(60)) | set(range(100, 300))
@@ -93,17 +89,17 @@ def test_a_second_motion_is_the_second_candidate():
 def test_excluded_matches_take_no_part():
     rng = np.random.default_rng(9)
     other = T_TRUE @ exp_se3([0, 0, 0, 35, 0, 0])
-    a, b, matches = matched.pair(rng, 300, ((60, T_TRUE), (40, other)))
+    matches = matched.pair(rng, 300, ((60, T_TRUE), (40, other)))[2]
     exclude = np.arange(300) < 60
-    best = find_consensus(a, b, matches, exclude=exclude).candidates[0]
+    best = find_consensus(matches, exclude=exclude).candidates[0]
     assert best.members.min() >= 60
     assert rotation_angle(best.T_a_b[:3, :3].T @ other[:3, :3]) < 0.01
 
 
 def test_random_matches_give_no_significant_consensus():
     for seed in range(5):
-        a, b, matches = matched.pair(np.random.default_rng(seed), 500)
-        found = find_consensus(a, b, matches)
+        matches = matched.pair(np.random.default_rng(seed), 500)[2]
+        found = find_consensus(matches)
         places = found.candidates[0].places if found.candidates else 0
         assert log10_false_alarms(places, found.places, found.chance, 1) > -1
 
@@ -115,7 +111,7 @@ def test_false_alarms_on_random_matches_are_no_more_than_stated(extent_mm):
     for seed in range(trials):
         rng = np.random.default_rng(1000 + seed)
         a, b = matched.random_side(rng, 120, extent_mm), matched.random_side(rng, 120, extent_mm)
-        found = find_consensus(a, b, matched.pair(rng, 120)[2], ConsensusOptions(seeds=60, partners=20), threads=1)
+        found = find_consensus(matched.matches_of(a, b), ConsensusOptions(seeds=60, partners=20), threads=1)
         places = found.candidates[0].places if found.candidates else 0
         stated.append(log10_false_alarms(places, found.places, found.chance, 1))
     for k in (0.0, 0.5, 1.0, 1.5):
@@ -125,9 +121,9 @@ def test_false_alarms_on_random_matches_are_no_more_than_stated(extent_mm):
 
 
 def test_too_few_matches_give_no_candidate():
-    a, b, matches = matched.pair(np.random.default_rng(0), 30, ((30, T_TRUE),))
+    matches = matched.pair(np.random.default_rng(0), 30, ((30, T_TRUE),))[2]
     for n in (0, 1, 2):
-        found = find_consensus(a, b, matches.take(np.arange(n)))
+        found = find_consensus(matches.take(np.arange(n)))
         assert found.candidates == ()
         assert found.chance == 1.0
 

@@ -18,7 +18,7 @@ from planish.registration.refine.solve import RefineOptions, refine
 from planish.registration.surface import fit_surface
 from planish.registration.texture.photometric import local_contrast
 from planish.registration.tiles import tile_size_px
-from planish.registration.verdict import VerdictOptions, judge_refined
+from planish.registration.verdict.judge import VerdictOptions, judge_refined
 
 #: 14 runs of 6 parameters know a mean NEES to 15 %; interpolation at 1.3 mm per pixel adds a bias of one standard
 #: deviation along the surface.

@@ -11,8 +11,8 @@ import pytest
 import sheets
 import synthetic
 from planish.geometry import transform_points
-from planish.registration.keypoints import KeypointOptions, detect_keypoints, to_grey
-from planish.registration.match import match
+from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints, to_grey
+from planish.registration.match.descriptors import match
 
 #: float64 products of rotations that come from float32 normals.
 ORTHONORMAL_TOLERANCE = 1e-6
@@ -72,20 +72,20 @@ def test_points_and_normals_are_those_of_the_surface(sides):
 def test_matching_keypoints_have_the_same_place_and_frame_on_the_part(sides):
     a, b = (side.keypoints for side in sides)
     found = match(a, b)
-    shift = a.points_sensor[found.index_a] - transform_points(sheets.T_TRUE, b.points_sensor[found.index_b])
+    shift = found.points_a - transform_points(sheets.T_TRUE, found.points_b)
     distance = np.linalg.norm(shift, axis=1)
     right = distance < 2 * sheets.PITCH_MM
     assert right.sum() > 50
     assert np.median(distance[right]) < MEDIAN_PLACE_MM
-    turned = sheets.T_TRUE[:3, :3] @ b.frames_sensor[found.index_b[right]]
-    cosine = (a.frames_sensor[found.index_a[right]][:, :, 0] * turned[:, :, 0]).sum(1)
+    turned = sheets.T_TRUE[:3, :3] @ found.frames_b[right]
+    cosine = (found.frames_a[right][:, :, 0] * turned[:, :, 0]).sum(1)
     assert np.median(np.arccos(cosine.clip(-1, 1))) < MEDIAN_ORIENTATION_RAD
 
 
 def test_places_of_right_matches_are_not_shifted_on_average(sides):
     a, b = (side.keypoints for side in sides)
     found = match(a, b)
-    shift = a.points_sensor[found.index_a] - transform_points(sheets.T_TRUE, b.points_sensor[found.index_b])
+    shift = found.points_a - transform_points(sheets.T_TRUE, found.points_b)
     right = np.linalg.norm(shift, axis=1) < sheets.PITCH_MM
     # The mean of n shifts is known to their scatter over sqrt(n); a constant quarter of a pixel would stand out.
     limit = 4 * shift[right].std(0) / np.sqrt(right.sum())

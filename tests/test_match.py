@@ -9,7 +9,7 @@ import pytest
 
 import matched
 from planish import _core
-from planish.registration.match import MatchOptions, match
+from planish.registration.match.descriptors import MatchOptions, match, nearest_neighbours
 from reference import match as reference
 
 
@@ -44,7 +44,7 @@ def test_equal_descriptors_go_to_the_first(sides):
 
 def test_the_true_matches_are_found_and_each_keypoint_stands_once(sides):
     a, b = sides
-    found = match(a, b)
+    found = nearest_neighbours(a, b)
     assert set(range(60)) <= set(found.index_a[found.index_a == found.index_b])
     assert len(set(found.index_a)) == len(set(found.index_b)) == len(found)
 
@@ -52,16 +52,16 @@ def test_the_true_matches_are_found_and_each_keypoint_stands_once(sides):
 def test_matches_are_mutual(sides):
     a, b = sides
     options = MatchOptions(max_ratio=1.0)
-    there, back = match(a, b, options), match(b, a, options)
+    there, back = nearest_neighbours(a, b, options), nearest_neighbours(b, a, options)
     assert set(zip(there.index_a, there.index_b, strict=True)) == set(zip(back.index_b, back.index_a, strict=True))
 
 
 def test_the_best_ratio_comes_first_and_the_number_is_limited(sides):
     a, b = sides
-    found = match(a, b, MatchOptions(max_matches=20))
+    found = nearest_neighbours(a, b, MatchOptions(max_matches=20))
     assert len(found) == 20
     assert (np.diff(found.ratio) >= 0).all()
-    everything = match(a, b)
+    everything = nearest_neighbours(a, b)
     np.testing.assert_array_equal(found.index_a, everything.index_a[:20])
     assert everything.ratio.max() <= MatchOptions().max_ratio
 
@@ -69,7 +69,7 @@ def test_the_best_ratio_comes_first_and_the_number_is_limited(sides):
 def test_keypoints_of_another_size_do_not_match(sides):
     a, b = sides
     larger = replace(b, size_mm=b.size_mm * 5)
-    found = match(a, larger)
+    found = nearest_neighbours(a, larger)
     sizes = larger.size_mm[found.index_b] / a.size_mm[found.index_a]
     assert np.maximum(sizes, 1 / sizes).max(initial=0) <= MatchOptions().max_size_ratio
     assert not (found.index_a == found.index_b)[found.index_a < 60].any()

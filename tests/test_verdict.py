@@ -17,15 +17,9 @@ from planish.registration.consensus import find_consensus
 from planish.registration.pair import prepare, refine_pair
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.result import Direction
-from planish.registration.verdict import (
-    VerdictOptions,
-    judge_coarse,
-    judge_refined,
-    log10_false_alarms,
-    runner_up,
-    same_sensor,
-    standing_still,
-)
+from planish.registration.verdict.false_alarms import log10_false_alarms
+from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined, runner_up
+from planish.registration.verdict.still import same_sensor, standing_still
 
 #: Accuracy of the incomplete beta function, as a logarithm.
 LOG_TOLERANCE = 1e-6
@@ -72,8 +66,8 @@ def test_false_alarms_are_finite_for_any_small_number(places, all_places):
 
 
 def judge(groups, total, still=0.0, pairs=1, seed=0):
-    a, b, matches = matched.pair(np.random.default_rng(seed), total, groups)
-    coarse = find_consensus(a, b, matches)
+    _, b, matches = matched.pair(np.random.default_rng(seed), total, groups)
+    coarse = find_consensus(matches)
     return judge_coarse(coarse, runner_up(coarse, b.points_sensor.mean(0), pairs), still, pairs, OPTIONS)
 
 
@@ -91,8 +85,8 @@ def test_random_matches_are_refused_as_chance():
 
 @pytest.mark.parametrize("total", [0, 2, 30])
 def test_where_no_three_places_agree_the_pair_is_refused(total):
-    a, b, matches = matched.pair(np.random.default_rng(3), total)
-    judgement = judge_coarse(find_consensus(a, b, matches), None, 0.0, 1, OPTIONS)
+    matches = matched.pair(np.random.default_rng(3), total)[2]
+    judgement = judge_coarse(find_consensus(matches), None, 0.0, 1, OPTIONS)
     assert judgement.status == "refused"
     assert "no consensus" in judgement.reason
 
@@ -116,9 +110,9 @@ def test_a_weak_second_transform_does_not_make_ambiguous():
 
 
 def test_a_match_stands_still_if_its_pixel_does_not_move():
-    a, b, matches = matched.pair(np.random.default_rng(0), 20)
-    b.pixels[:5] = a.pixels[:5] + 1.0
-    still = standing_still(a, b, matches, 2.0)
+    matches = matched.pair(np.random.default_rng(0), 20)[2]
+    matches.pixels_b[:5] = matches.pixels_a[:5] + 1.0
+    still = standing_still(matches, 2.0)
     assert still[:5].all()
     assert not still[5:].any()
 

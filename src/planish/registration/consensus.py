@@ -12,8 +12,7 @@ from scipy.spatial import cKDTree
 from planish import _core
 from planish.geometry import Array, fit_rigid, rotation_angle, transform_points
 from planish.options import Options, thread_count
-from planish.registration.keypoints import Keypoints
-from planish.registration.match import Matches
+from planish.registration.matches import Matches
 
 
 class ConsensusOptions(Options):
@@ -74,8 +73,6 @@ class CoarseResult:
 
 
 def find_consensus(
-    a: Keypoints,
-    b: Keypoints,
     matches: Matches,
     options: ConsensusOptions | None = None,
     threads: int | None = None,
@@ -84,28 +81,25 @@ def find_consensus(
     """Return the best transforms of b in a; `exclude` (M,) leaves matches out."""
     options = options or ConsensusOptions()
     use = np.arange(len(matches)) if exclude is None else np.flatnonzero(~exclude)
-    points_a, points_b = a.points_sensor[matches.index_a], b.points_sensor[matches.index_b]
+    points_a, points_b = matches.points_a, matches.points_b
     chance = _chance(points_a[use], options)
     places = count_places(points_a[use], options.distinct_mm)
-    first = _best(a, b, matches, use, options, thread_count(threads))
+    first = _best(matches, use, options, thread_count(threads))
     if first is None:
         return CoarseResult((), chance, places, options)
     # What contradicts the best must live without the matches that lie anywhere near it.
     near = np.linalg.norm(points_a - transform_points(first.T_a_b, points_b), axis=1) < 3 * options.tolerance_mm
-    second = _best(a, b, matches, use[~near[use]], options, thread_count(threads))
+    second = _best(matches, use[~near[use]], options, thread_count(threads))
     if second is not None and _alike(first.T_a_b, second.T_a_b, points_b[use], options):
         second = None
     return CoarseResult((first,) if second is None else (first, second), chance, places, options)
 
 
-def _best(
-    a: Keypoints, b: Keypoints, matches: Matches, use: NDArray[np.int64], options: ConsensusOptions, threads: int
-) -> Candidate | None:
+def _best(matches: Matches, use: NDArray[np.int64], options: ConsensusOptions, threads: int) -> Candidate | None:
     if len(use) < 3:
         return None
-    index_a, index_b = matches.index_a[use], matches.index_b[use]
-    points_a, points_b = a.points_sensor[index_a], b.points_sensor[index_b]
-    frames_a, frames_b = (np.ascontiguousarray(k.frames_sensor[i]) for k, i in ((a, index_a), (b, index_b)))
+    asked = matches.take(use)
+    points_a, points_b, frames_a, frames_b = asked.points_a, asked.points_b, asked.frames_a, asked.frames_b
     transforms, _ = _core.find_consensus(
         points_a, points_b, frames_a, frames_b, options.tolerance_mm, options.frame_angle_rad, options.normal_angle_rad,
         options.min_baseline_mm, options.seeds, options.partners, 5, threads,

@@ -11,8 +11,10 @@ from planish.geometry import Array, transform_points
 from planish.measurement import Map, Measurement
 from planish.options import Options
 from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
-from planish.registration.keypoints import KeypointOptions, Keypoints, detect_keypoints
-from planish.registration.match import Matches, MatchOptions, match
+from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
+from planish.registration.keypoints.keypoints import Keypoints
+from planish.registration.match.descriptors import MatchOptions, match
+from planish.registration.matches import Matches
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.refine.overlap import overlap_extent
@@ -24,15 +26,9 @@ from planish.registration.texture.charts import ChartOptions
 from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
 from planish.registration.tiles import ground_sample_distance, tile_size_px
-from planish.registration.verdict import (
-    VerdictOptions,
-    judge_coarse,
-    judge_refined,
-    log10_false_alarms,
-    runner_up,
-    same_sensor,
-    standing_still,
-)
+from planish.registration.verdict.false_alarms import log10_false_alarms
+from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined, runner_up
+from planish.registration.verdict.still import same_sensor, standing_still
 
 
 class PairOptions(Options):
@@ -124,8 +120,8 @@ def register_pair(
         log10_false_alarms=log10_false_alarms(best.places if best else 0, coarse.places, coarse.chance, pairs_in_run),
         runner_up=other,
         T_coarse_a_b=best.T_a_b if best else None,
-        matches_px=_pixels(a, b, matches),
-        consensus_px=_pixels(a, b, matches.take(best.members)) if best else np.empty((0, 4)),
+        matches_px=_pixels(matches),
+        consensus_px=_pixels(matches.take(best.members)) if best else np.empty((0, 4)),
     )
     if best is None or judgement.status != "accepted":
         return result
@@ -140,14 +136,14 @@ def _moving_consensus(
     Where the best consensus stands still (sensor pattern, background), the texture of the part may hide behind it: what
     moves is asked alone before the pair is given up.
     """
-    coarse = find_consensus(a.keypoints, b.keypoints, matches, options.consensus, threads)
+    coarse = find_consensus(matches, options.consensus, threads)
     if not coarse.candidates or not same_sensor(a.measurement, b.measurement):
         return coarse, 0.0
-    still = standing_still(a.keypoints, b.keypoints, matches, options.verdict.still_px)
+    still = standing_still(matches, options.verdict.still_px)
     share = float(still[coarse.candidates[0].members].mean())
     if share <= options.verdict.still_share:
         return coarse, share
-    moving = find_consensus(a.keypoints, b.keypoints, matches, options.consensus, threads, exclude=still)
+    moving = find_consensus(matches, options.consensus, threads, exclude=still)
     if moving.candidates:
         best = moving.candidates[0]
         alarms = log10_false_alarms(best.places, moving.places, moving.chance, 1)
@@ -170,9 +166,7 @@ def _refined_result(
         judgement = judge_refined(None, (), 0.0, options.verdict)
         assert judgement is not None
         return replace(result, status=judgement.status, reason=judgement.reason)
-    points_a = a.keypoints.points_sensor[members.index_a]
-    points_b = b.keypoints.points_sensor[members.index_b]
-    residual = points_a - transform_points(refined.T_a_b, points_b)
+    residual = members.points_a - transform_points(refined.T_a_b, members.points_b)
     drift = float(np.sqrt((residual**2).sum(1).mean()))
     covariance = noise_covariance(refined)
     directions = observability(refined, covariance)
@@ -215,5 +209,5 @@ def pair_shifts(
     return calibration_shifts(*sides, refined, options.refine, threads)
 
 
-def _pixels(a: Prepared, b: Prepared, matches: Matches) -> Array:
-    return np.hstack([a.keypoints.pixels[matches.index_a], b.keypoints.pixels[matches.index_b]])
+def _pixels(matches: Matches) -> Array:
+    return np.hstack([matches.pixels_a, matches.pixels_b])

@@ -1,22 +1,18 @@
-"""The verdict on a pair: accepted, refused or ambiguous, with the evidence and a reason a metrologist can act on."""
+"""Accepted, refused or ambiguous, with a reason a metrologist can act on."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
-from scipy.special import betainc, gammaln
 
 from planish.geometry import Array, rotation_angle, transform_points
-from planish.measurement import Measurement
 from planish.options import Options
 from planish.registration.consensus import Candidate, CoarseResult
-from planish.registration.keypoints import Keypoints
-from planish.registration.match import Matches
 from planish.registration.refine.solve import Refined
 from planish.registration.result import Direction, RunnerUp, Status
+from planish.registration.verdict.false_alarms import log10_false_alarms
 
 
 class VerdictOptions(Options):
@@ -44,46 +40,6 @@ class Judgement:
 
     status: Status
     reason: str
-
-
-def log10_false_alarms(places: int, all_places: int, chance: float, pairs_in_run: int) -> float:
-    """Return log10 of the number of consensuses this good to be expected by chance in the whole run.
-
-    A-contrario reasoning (Desolneux, Moisan, Morel 2000; Moulon et al. 2012): two matches fix the transform; the chance
-    that `places - 2` or more of the other `all_places - 2` agree is a binomial tail; the number of transforms tried is
-    that of pairs of matches, times the pairs of measurements of the run.
-    """
-    if places < 3:
-        return float(np.log10(max(pairs_in_run, 1) * max(all_places, 2) ** 2 / 2))
-    # Places are counted greedily: few of all can be fewer than those of a part of them.
-    all_places = max(all_places, places)
-    n, k = all_places - 2, places - 2
-    tests = np.log10(pairs_in_run) + np.log10(all_places * (all_places - 1) / 2)
-    return float(tests + _log10_binomial_tail(k, n, chance))
-
-
-def _log10_binomial_tail(k: int, n: int, p: float) -> float:
-    tail = betainc(k, n - k + 1, p)  # P(X >= k) = I_p(k, n - k + 1)
-    if tail > 1e-280:
-        return float(np.log10(tail))
-    # Below the range of doubles the first term of the tail bounds it within the factor 1 / (1 - p n / k).
-    log_term = gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1) + k * np.log(p) + (n - k) * np.log1p(-p)
-    return float(log_term / np.log(10))
-
-
-def same_sensor(a: Measurement, b: Measurement) -> bool:
-    """Return whether both were taken by the same camera, so that what is fixed to it stands at the same pixels."""
-    return (
-        a.organised_on == b.organised_on
-        and a.shape == b.shape
-        and np.array_equal(a.camera.kernel_parameters[:17], b.camera.kernel_parameters[:17])
-    )
-
-
-def standing_still(a: Keypoints, b: Keypoints, matches: Matches, still_px: float) -> NDArray[np.bool_]:
-    """Return per match (M,) whether its pixel is the same in both images."""
-    moved = np.linalg.norm(a.pixels[matches.index_a] - b.pixels[matches.index_b], axis=1)
-    return np.asarray(moved < still_px)
 
 
 def runner_up(coarse: CoarseResult, centre_b: Array, pairs_in_run: int) -> RunnerUp | None:

@@ -1,9 +1,8 @@
-"""Matches: mutual nearest neighbours of the descriptors, among keypoints of the same metric size."""
+"""Mutual nearest neighbours of the descriptors, among keypoints of the same metric size."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,8 @@ from pydantic import Field
 
 from planish import _core
 from planish.options import Options, thread_count
-from planish.registration.keypoints import Keypoints
+from planish.registration.keypoints.keypoints import Keypoints
+from planish.registration.matches import Matches
 
 
 class MatchOptions(Options):
@@ -26,8 +26,8 @@ class MatchOptions(Options):
 
 
 @dataclass(frozen=True)
-class Matches:
-    """M pairs of keypoints.
+class Neighbours:
+    """M pairs of keypoints whose descriptors are each other's nearest, best ratio first.
 
     Parameters
     ----------
@@ -44,17 +44,25 @@ class Matches:
     def __len__(self) -> int:
         return len(self.index_a)
 
-    def take(self, index: NDArray[Any]) -> Matches:
-        """Return the matches at `index` (indices or mask)."""
-        return Matches(self.index_a[index], self.index_b[index], self.ratio[index])
-
 
 def match(a: Keypoints, b: Keypoints, options: MatchOptions | None = None, threads: int | None = None) -> Matches:
+    """Return the matches of two keypoint sets, best ratio of descriptor distances first."""
+    found = nearest_neighbours(a, b, options, threads)
+    a, b = a.take(found.index_a), b.take(found.index_b)
+    return Matches(
+        a.points_sensor, b.points_sensor, a.frames_sensor, b.frames_sensor, a.pixels, b.pixels,
+        np.full(len(a), np.nan),
+    )  # fmt: skip
+
+
+def nearest_neighbours(
+    a: Keypoints, b: Keypoints, options: MatchOptions | None = None, threads: int | None = None
+) -> Neighbours:
     """Return the mutual nearest neighbours of two keypoint sets, best ratio first."""
     options, count = options or MatchOptions(), thread_count(threads)
     none = np.empty(0, np.int64)
     if len(a) < 2 or len(b) < 2:
-        return Matches(none, none, np.empty(0))
+        return Neighbours(none, none, np.empty(0))
 
     def nearest(x: Keypoints, y: Keypoints) -> NDArray[np.int32]:
         return _core.nearest_descriptors(
@@ -68,4 +76,4 @@ def match(a: Keypoints, b: Keypoints, options: MatchOptions | None = None, threa
     index_a = np.flatnonzero(mutual & (ratio <= options.max_ratio))
     order = np.lexsort((index_a, ratio[index_a]))[: options.max_matches]
     index_a = index_a[order]
-    return Matches(index_a, best[index_a], ratio[index_a])
+    return Neighbours(index_a, best[index_a], ratio[index_a])

@@ -1,9 +1,6 @@
-"""Keypoints of the texture images: places with a metric size, an orientation and a normal, each a full local frame."""
+"""Detection and description of keypoints on the texture images."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass, field
-from typing import Any
 
 import cv2
 import numpy as np
@@ -13,6 +10,7 @@ from pydantic import Field
 from planish.geometry import Array, invert, transform_points
 from planish.measurement import Map
 from planish.options import Options
+from planish.registration.keypoints.keypoints import Keypoints, no_keypoints
 from planish.registration.texture.resample import TextureImage
 
 
@@ -29,47 +27,16 @@ class KeypointOptions(Options):
     grey_per_deviation: float = Field(default=22.0, gt=0)
 
 
-@dataclass(frozen=True)
-class Keypoints:
-    """N places on a measurement's surface.
-
-    Parameters
-    ----------
-    points_sensor : ndarray (N, 3)
-        Position [mm].
-    frames_sensor : ndarray (N, 3, 3)
-        Columns: orientation of the texture in the tangent plane, normal x orientation, normal.
-    size_mm : ndarray (N,)
-        Diameter of the described neighbourhood's core [mm].
-    pixels : ndarray (N, 2)
-        Pixel (u, v) of the organising camera.
-    descriptors : ndarray (N, 128) uint8
-        SIFT descriptors. Whole numbers: their dot products are exact in float32, in any order of summation.
-    """
-
-    points_sensor: Array = field(metadata={"unit": "mm"})
-    frames_sensor: Array
-    size_mm: Array = field(metadata={"unit": "mm"})
-    pixels: Array = field(metadata={"unit": "px"})
-    descriptors: NDArray[np.uint8]
-
-    def __len__(self) -> int:
-        return len(self.points_sensor)
-
-    def take(self, index: NDArray[Any]) -> Keypoints:
-        """Return the keypoints at `index` (indices or mask)."""
-        return Keypoints(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
-
-
 def detect_keypoints(images: tuple[TextureImage, ...], options: KeypointOptions | None = None) -> Keypoints:
     """Return the strongest keypoints of a measurement's texture images, in a fixed order."""
     options = options or KeypointOptions()
     share = max(10, options.max_keypoints // max(1, len(images)))
-    parts = [_detect(image, options, share) for image in images]
+    parts = [_detect(image, i, options, share) for i, image in enumerate(images)]
     if not parts:
-        empty = np.empty((0, 3))
-        return Keypoints(empty, np.empty((0, 3, 3)), np.empty(0), np.empty((0, 2)), np.empty((0, 128), np.uint8))
-    return Keypoints(*(np.concatenate([getattr(part, name) for part in parts]) for name in Keypoints.__annotations__))
+        return no_keypoints()
+    return Keypoints(
+        *(np.concatenate([getattr(part, name) for part in parts]) for name in Keypoints.__dataclass_fields__)
+    )
 
 
 def to_grey(image: TextureImage, grey_per_deviation: float) -> NDArray[np.uint8]:
@@ -81,7 +48,7 @@ def to_grey(image: TextureImage, grey_per_deviation: float) -> NDArray[np.uint8]
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
 
 
-def _detect(image: TextureImage, options: KeypointOptions, count: int) -> Keypoints:
+def _detect(image: TextureImage, chart: int, options: KeypointOptions, count: int) -> Keypoints:
     # Precise upscaling: without it every position is off by a constant quarter of a pixel, which a half turn doubles.
     sift = cv2.SIFT.create(
         nfeatures=count,
@@ -122,6 +89,9 @@ def _detect(image: TextureImage, options: KeypointOptions, count: int) -> Keypoi
         size,
         place[:, 1:],
         np.rint(descriptors[order]).astype(np.uint8),
+        np.full(len(order), chart, np.intp),
+        xy,
+        angle,
     )
 
 

@@ -1,0 +1,1 @@
+"""Matches of keypoints: nearest descriptors, the correlation of what lies around them."""
