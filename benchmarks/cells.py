@@ -31,7 +31,7 @@ def cell_arguments(description: str | None) -> argparse.ArgumentParser:
 
 
 def run_cells(
-    folder: str, cells: Mapping[str, tuple[Any, ...]], function: Callable[..., Rows], workers: int, again: bool
+    folder: str, cells: Mapping[str, tuple[Any, ...]], function: Callable[..., Rows], workers: int, again: bool = False
 ) -> None:
     """Call function(*arguments) for each cell by name and save its rows; a cell that is already there is kept."""
     to_do = {name: values for name, values in cells.items() if again or not _path(folder, name).is_file()}
