@@ -42,7 +42,7 @@ FOLDER = "not-texture"
 #: Captures per cell: 11 make 55 pairs.
 BLANK_CELLS, BLANK_CAPTURES, APART_MM, DUST = 4, 11, 50.0, 10
 #: Half sizes [mm] of the plate before the background: about 70 % of what a camera sees.
-SMALL_PLATE, BACKGROUND_CELLS = (150.0, 110.0), 3
+SMALL_PLATE, BACKGROUND_CELLS = (190.0, 140.0), 3
 #: The print: period, cell [mm], range of its reflectance.
 PERIOD_MM, CELL_MM, REFLECTANCE, PRINT_CELLS = 40.0, 2.0, (0.7, 1.0), 3
 #: The identity moves a point by less than this where the background is taken for the part [mm].
@@ -88,7 +88,7 @@ def run_background(number: int, textured: bool) -> Rows:
     if not textured:
         scene = replace(scene, texture=BLANK)
     places = [
-        place_sensor(scene.surface, *rng.uniform(-45, 45, 2), float(rng.uniform(-30, 30)), _tilt(rng)) for _ in range(4)
+        place_sensor(scene.surface, *rng.uniform(-40, 40, 2), float(rng.uniform(-30, 30)), _tilt(rng)) for _ in range(4)
     ]
     return _pairs("background, textured part" if textured else "background, blank part", scene.seen_from(places))
 

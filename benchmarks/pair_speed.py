@@ -1,0 +1,108 @@
+"""Times of one pair with 5,000 keypoints each, beside named peers in the same process.
+
+    python benchmarks/pair_speed.py
+
+Two captures of the door at full resolution, with marks enough for the keypoints. In one thread, as in a worker: processor
+time, median of the runs. OpenCV's SIFT and its matcher work on the same texture image
+and the same descriptors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import Any
+
+import cv2
+import numpy as np
+
+from planish.measurement import Measurement
+from planish.pipeline import RegisterOptions
+from planish.registration.consensus import find_consensus
+from planish.registration.keypoints.detect import detect_keypoints, to_grey
+from planish.registration.match.descriptors import match
+from planish.registration.pair import common_gsd, common_pitch, length_factor, prepare, register_pair
+from planish.registration.surface import fit_surface
+from planish.registration.texture.photometric import local_contrast
+from planish.registration.texture.resample import texture_images
+from planish.simulation.scenes import make_scene
+from render_tables import save_table
+from rendered import measure_scene
+
+KEYPOINTS, DENSITY = 5000, 2.0
+
+
+def timed(function: Callable[[], Any], runs: int) -> tuple[float, Any]:
+    """Return the median seconds of a call after one that does not count, and what it returned."""
+    found = function()
+    seconds = []
+    for _ in range(runs):
+        started = time.process_time()
+        function()
+        seconds.append(time.process_time() - started)
+    return median(seconds), found
+
+
+def measured_pair() -> tuple[Measurement, Measurement]:
+    """Return two captures of the door that overlap by some 40 %."""
+    scene = make_scene("door", 1, texture_density=DENSITY)
+    return measure_scene(scene, 0), measure_scene(scene, 1)
+
+
+def peak_mib() -> float:
+    """Return the largest memory of this process so far [MiB]."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=5)
+    runs = parser.parse_args().runs
+    os.environ["PLANISH_THREADS"] = "1"
+    cv2.setNumThreads(1)
+    a, b = measured_pair()
+    options = RegisterOptions.model_validate({"keypoints": {"max_keypoints": KEYPOINTS}})
+    options, pitch = options.scaled(length_factor(common_gsd([a, b]))), common_pitch([a, b])
+    surface = fit_surface(a, options.surface, 1)
+    contrast_s, contrast = timed(lambda: local_contrast(a, options.photometric, surface, threads=1), runs)
+    drawing_s, images = timed(lambda: texture_images(a, surface, contrast, pitch, options.charts), runs)
+    keypoints_s, _ = timed(lambda: detect_keypoints(images, options.keypoints), runs)
+    greys = [to_grey(image, options.keypoints.grey_per_deviation) for image in images]
+    sift = cv2.SIFT.create(KEYPOINTS, contrastThreshold=options.keypoints.contrast_threshold)
+    sift_s, _ = timed(lambda: [sift.detectAndCompute(g, None) for g in greys], runs)
+    before = peak_mib()
+    first, second = (prepare(m, pitch, options, 1) for m in (a, b))
+    matching_s, matches = timed(lambda: match(first.keypoints, second.keypoints, options.match, 1), runs)
+    consensus_s, _ = timed(lambda: find_consensus(matches, options.consensus, 1), runs)
+    pair_s, result = timed(lambda: register_pair(first, second, options, 1, 1), runs)
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    words = [np.asarray(p.keypoints.descriptors, np.float32) for p in (first, second)]
+    brute_s, _ = timed(lambda: matcher.knnMatch(*words, k=2), runs)
+    n = min(len(first.keypoints), len(second.keypoints))
+    rows = [
+        {"what": "local contrast", "seconds": contrast_s},
+        {"what": "texture images", "seconds": drawing_s},
+        {"what": "both (a texture from a measurement)", "seconds": contrast_s + drawing_s, "limit": 0.08},
+        {"what": "keypoints", "seconds": keypoints_s, "peer": "OpenCV SIFT, same images", "ratio": keypoints_s / sift_s},
+        {"what": f"matching ({n} keypoints)", "seconds": matching_s, "peer": "OpenCV brute force, ratio test only",
+         "ratio": matching_s / brute_s},
+        {"what": f"consensus ({len(matches)} matches)", "seconds": consensus_s},
+        {"what": "matching and consensus", "seconds": matching_s + consensus_s, "limit": 0.15},
+        {"what": f"the whole pair, refinement included ({result.status})", "seconds": pair_s},
+        {"what": "peak memory of the process [MiB]", "memory": peak_mib(), "limit": 1024.0},
+    ]  # fmt: skip
+    print(*rows, f"before preparing: {before:.0f} MiB", sep="\n")
+    columns = {
+        "what": "stage, one thread", "seconds": "processor time [s]", "memory": "[MiB]", "limit": "to reach",
+        "peer": "peer", "ratio": "over the peer",
+    }  # fmt: skip
+    formats = {"seconds": ".3f", "memory": ".0f", "ratio": ".2f"}
+    save_table("pair-speed", columns, rows, f"python benchmarks/pair_speed.py --runs {runs}", formats)
+
+
+if __name__ == "__main__":
+    main()
