@@ -230,7 +230,7 @@ class Seen:
 
     @classmethod
     def of(cls, surface: Surface, rig: Rig, T_object_sensor: Array) -> Seen:
-        """Cast rays from a sensor and keep those that both cameras and the projector see."""
+        """Cast rays from a sensor and keep those that are lit."""
         camera = rig.cameras["A"]
         stride = RAY_STRIDE * camera.size_px[0] / 694
         u, v = np.meshgrid(*(np.arange(stride / 2, n, stride) for n in camera.size_px))
@@ -259,7 +259,9 @@ def seen_overlap(a: Seen, b: Seen) -> float:
 def _visible(points: Array, normals: Array, rig: Rig, T_object_sensor: Array) -> np.ndarray:
     sensor = transform_points(invert(T_object_sensor), points)
     seen = np.ones(len(points), bool)
-    for device in rig.devices.values():
+    assert rig.projector is not None
+    # Where the other camera sees nothing, camera and projector give the point.
+    for device in (rig.cameras["A"], rig.projector):
         pixels = device.project(sensor)
         with np.errstate(invalid="ignore"):
             inside = (pixels >= 0).all(1) & (pixels <= np.array(device.size_px) - 1).all(1)
