@@ -131,7 +131,7 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=2000)
     parser.add_argument("--full", action="store_true", help="full instead of half resolution")
     parser.add_argument("--peers", help="python of the peers' environment")
-    parser.add_argument("--peer-every", type=int, default=20)
+    parser.add_argument("--peer-every", type=int, default=40)
     arguments = parser.parse_args()
     if not arguments.tables:
         first, scale, kind = (FIRST_FULL, 1.0, "full") if arguments.full else (0, 0.5, "half")

@@ -171,7 +171,8 @@ def true_transform(part: Part, case: Case) -> Array:
     """Return the true T_a_b (4, 4) of a case."""
     surface = part.scene().surface
     a, b = (part.stands[i].place(surface) for i in (case.first, case.second))
-    assert a is not None and b is not None
+    assert a is not None
+    assert b is not None
     return invert(a) @ b
 
 

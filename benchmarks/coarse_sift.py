@@ -24,7 +24,8 @@ def sift_keypoints(m: Measurement) -> tuple[Array, np.ndarray]:
     grey = np.clip(image * (255 / np.nanpercentile(image, 99.9)), 0, 255).astype(np.uint8)
     # With its own threshold and without equalisation SIFT finds a dozen keypoints in such images, or none.
     grey = cv2.createCLAHE(*EQUALISATION).apply(grey)
-    found, words = cv2.SIFT_create(5000, contrastThreshold=CONTRAST).detectAndCompute(grey, m.valid.astype(np.uint8) * 255)
+    detector = cv2.SIFT.create(5000, contrastThreshold=CONTRAST)
+    found, words = detector.detectAndCompute(grey, m.valid.astype(np.uint8) * 255)
     if words is None:
         return np.empty((0, 3)), np.empty((0, 128), np.float32)
     at = np.rint([k.pt for k in found]).astype(int)
@@ -65,7 +66,10 @@ def _distinct(rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def _fit_many(pa: Array, pb: Array) -> tuple[Array, Array]:
-    """Return rotations (N, 3, 3) and translations (N, 3) that move pb (N, 3, 3) onto pa (Arun, Huang, Blostein 1987)."""
+    """Return rotations (N, 3, 3) and translations (N, 3) that move pb (N, 3, 3) onto pa.
+
+    Source: Arun, Huang, Blostein, Least-squares fitting of two 3-D point sets, 1987.
+    """
     ca, cb = pa.mean(1, keepdims=True), pb.mean(1, keepdims=True)
     U, _, Vt = np.linalg.svd((pa - ca).transpose(0, 2, 1) @ (pb - cb))
     U[:, :, 2] *= np.sign(np.linalg.det(U @ Vt))[:, None]

@@ -16,6 +16,12 @@ RIGHT_MM = 1.0
 #: Key and heading of the peers; plain SIFT saw all pairs, the others some.
 PEERS = {"sift_mm": "plain SIFT", "fpfh_ransac_mm": "FPFH + RANSAC", "fgr_mm": "FGR", "kiss_matcher_mm": "KISS-Matcher"}
 
+#: What is printed of a pair that failed.
+TOLD = (
+    "number", "first", "second", "surface", "overlap", "density", "grain", "specular", "tilt_deg", "coarse_mm",
+    "refined_mm", "status", "reason",
+)  # fmt: skip
+
 Row = dict[str, Any]
 
 
@@ -103,5 +109,4 @@ def _save_lost(rows: Rows) -> None:
     wrong = [r for r in rows if is_wrong(r)]
     print(f"plain SIFT wins and planish loses: {len(lost)} of {len(rows)}; accepted, but wrong: {len(wrong)}")
     for r in [r for r in rows if not is_right(r) and r["overlap"] >= 0.3 and enough_texture(r)] + wrong:
-        print({key: r.get(key) for key in ("number", "first", "second", "surface", "overlap", "density", "grain",
-                                           "specular", "tilt_deg", "coarse_mm", "refined_mm", "status", "reason")})  # fmt: skip
+        print({key: r.get(key) for key in TOLD})

@@ -15,9 +15,8 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
-from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -87,9 +86,8 @@ def run_background(number: int, textured: bool) -> Rows:
     scene = replace(scene, surface=Plate(*SMALL_PLATE), background=Background(z_mm=-60.0))
     if not textured:
         scene = replace(scene, texture=BLANK)
-    places = [
-        place_sensor(scene.surface, *rng.uniform(-40, 40, 2), float(rng.uniform(-30, 30)), _tilt(rng)) for _ in range(4)
-    ]
+    rolls = rng.uniform(-30, 30, 4)
+    places = [place_sensor(scene.surface, *rng.uniform(-40, 40, 2), roll, _tilt(rng)) for roll in rolls]
     return _pairs("background, textured part" if textured else "background, blank part", scene.seen_from(places))
 
 
@@ -99,9 +97,8 @@ def run_print(number: int) -> Rows:
     cells = round(PERIOD_MM / CELL_MM)
     pattern = raster_print(rng.uniform(*REFLECTANCE, (cells, cells)), (CELL_MM, CELL_MM), repeat=(True, True))
     scene = replace(_half(make_scene("blank", 500 + number, scale=0.5)), printed=pattern)
-    places = [
-        place_sensor(scene.surface, *rng.uniform(-110, 110, 2), float(rng.uniform(0, 360)), _tilt(rng)) for _ in range(4)
-    ]
+    rolls = rng.uniform(0, 360, 4)
+    places = [place_sensor(scene.surface, *rng.uniform(-110, 110, 2), roll, _tilt(rng)) for roll in rolls]
     return _pairs("repeating print", scene.seen_from(places))
 
 
@@ -210,16 +207,17 @@ def save_tables() -> None:
 def main() -> None:
     arguments = cell_arguments(__doc__).parse_args()
     if not arguments.tables:
-        run_cells(FOLDER, {f"blank_{n}": (n,) for n in range(BLANK_CELLS)}, run_blank, arguments.workers, arguments.again)
+        run = partial(run_cells, FOLDER, workers=arguments.workers, again=arguments.again)
+        run({f"blank_{n}": (n,) for n in range(BLANK_CELLS)}, run_blank)
         both = {
             f"background_{n}_{'textured' if t else 'blank'}": (n, t)
             for n in range(BACKGROUND_CELLS)
             for t in (True, False)
         }
-        run_cells(FOLDER, both, run_background, arguments.workers, arguments.again)
-        run_cells(FOLDER, {f"print_{n}": (n,) for n in range(PRINT_CELLS)}, run_print, arguments.workers, arguments.again)
+        run(both, run_background)
+        run({f"print_{n}": (n,) for n in range(PRINT_CELLS)}, run_print)
         if DATA.is_dir():
-            run_cells(FOLDER, {"board": ()}, run_board, arguments.workers, arguments.again)
+            run({"board": ()}, run_board)
         else:
             print(f"left out, for the real captures are not here: {DATA}", file=sys.stderr)
     save_tables()

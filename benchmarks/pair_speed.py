@@ -2,9 +2,9 @@
 
     python benchmarks/pair_speed.py
 
-Two captures of the door at full resolution, with marks enough for the keypoints. In one thread, as in a worker: processor
-time, median of the runs. OpenCV's SIFT and its matcher work on the same texture image
-and the same descriptors.
+Two captures of the door at full resolution, with marks enough for the keypoints. In one thread, as in a worker:
+processor time, median of the runs. OpenCV's SIFT and its matcher work on the same texture image and the same
+descriptors.
 """
 
 from __future__ import annotations
@@ -87,7 +87,8 @@ def main() -> None:
         {"what": "local contrast", "seconds": contrast_s},
         {"what": "texture images", "seconds": drawing_s},
         {"what": "both (a texture from a measurement)", "seconds": contrast_s + drawing_s, "limit": 0.08},
-        {"what": "keypoints", "seconds": keypoints_s, "peer": "OpenCV SIFT, same images", "ratio": keypoints_s / sift_s},
+        {"what": "keypoints", "seconds": keypoints_s, "peer": "OpenCV SIFT, same images",
+         "ratio": keypoints_s / sift_s},
         {"what": f"matching ({n} keypoints)", "seconds": matching_s, "peer": "OpenCV brute force, ratio test only",
          "ratio": matching_s / brute_s},
         {"what": f"consensus ({len(matches)} matches)", "seconds": consensus_s},

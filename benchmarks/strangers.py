@@ -198,7 +198,8 @@ def _save_honesty(alarms: list[float]) -> None:
                       "promised": 10.0**-k})  # fmt: skip
     true = [r["log10_false_alarms"] for r in coarse_cases() if r["overlap"] >= 0.3 and "log10_false_alarms" in r]
     if true:
-        table.append({"what": f"{len(true)} true pairs, overlap >= 30 %: median", "found": median(true), "promised": -10.0})
+        what = f"{len(true)} true pairs, overlap >= 30 %: median"
+        table.append({"what": what, "found": median(true), "promised": -10.0})
     columns = {
         "what": "log10 false alarms of a pair", "found": "found", "low": f"{CONFIDENCE:.0%} limits, lower",
         "high": "upper", "promised": "at most",
