@@ -27,16 +27,39 @@ nb::tuple fit_surface(const In<float, 3>& points, const In<double, 1>& camera, i
     return nb::make_tuple(smoothed.maps(), normals.maps(), tangents.maps());
 }
 
-nb::tuple rasterise_chart(const In<float, 3>& points, const In<float, 3>& normals, const In<double, 2>& T_chart_sensor,
-                          double pitch, double min_cosine, double max_edge, int height, int width) {
-    Owned<float> source(height, width, 2), z(height, width, 1);
+nb::tuple chart_coordinates(const In<float, 3>& points, const In<float, 3>& nodes, int step, double max_height,
+                            int threads) {
+    const auto image = view<float, 3>(points);
+    Owned<float> coordinates(image.height, image.width, 2);
+    planish::ChartExtent extent{};
     {
-        const Rigid T(T_chart_sensor);
         nb::gil_scoped_release release;
-        planish::rasterise_chart(view<float, 3>(points), view<float, 3>(normals), {T.R, T.t, pitch}, min_cosine,
-                                 max_edge, source.image, z.image);
+        extent = planish::chart_coordinates(image, view<float, 3>(nodes), step, max_height, coordinates.image, threads);
     }
-    return nb::make_tuple(source.maps(), z.map());
+    return nb::make_tuple(coordinates.maps(), nb::make_tuple(extent.left, extent.top, extent.right, extent.bottom));
+}
+
+nb::tuple chart_surface(const In<float, 3>& source, const In<float, 3>& points, const In<float, 3>& normals,
+                        const In<float, 3>& nodes, int step, int threads) {
+    const auto raster = view<float, 3>(source);
+    Owned<float> on(raster.height, raster.width, 3), normal(raster.height, raster.width, 3),
+        axis(raster.height, raster.width, 3);
+    {
+        nb::gil_scoped_release release;
+        planish::chart_surface(raster, view<float, 3>(points), view<float, 3>(normals), view<float, 3>(nodes), step,
+                               {on.image, normal.image, axis.image}, threads);
+    }
+    return nb::make_tuple(on.maps(), normal.maps(), axis.maps());
+}
+
+Out<float, 3> rasterise_chart(const In<float, 3>& coordinates, double x, double y, double pitch, double max_edge,
+                              int height, int width) {
+    Owned<float> source(height, width, 2);
+    {
+        nb::gil_scoped_release release;
+        planish::rasterise_chart(view<float, 3>(coordinates), {x, y, pitch}, max_edge, source.image);
+    }
+    return source.maps();
 }
 
 /// Points (M, 3) and frames (M, 3, 3) of both sides of M matches.
@@ -106,7 +129,8 @@ planish::JointOptions joint_options(const nb::tuple& options) {
 }
 
 /// Maps a, camera a, maps b: see planish::JointMaps. Returns normal equations of distance and texture, the unbiased
-/// information of both, correlation, number of conflicts, tile gradients (rows, columns, 6) and, if asked for, the
+/// information of both, correlation, number of conflicts, tile gradients (rows, columns, 6 of the
+/// distance and 6 of the texture) and, if asked for, the
 /// residual maps.
 nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
                                  const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
@@ -125,9 +149,9 @@ nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& c
                                                  with_residuals ? distances.image : none,
                                                  with_residuals ? differences.image : none);
     }
-    Owned<double> tiles(result.tile_rows, result.tile_columns, 6);
+    Owned<double> tiles(result.tile_rows, result.tile_columns, 12);
     for (std::size_t i = 0; i < result.tile_gradients.size(); ++i)
-        std::copy_n(result.tile_gradients[i].data(), 6, tiles.image.data + 6 * i);
+        std::copy_n(result.tile_gradients[i].data(), 12, tiles.image.data + 12 * i);
     const auto& s = result.sums;
     const double norm = std::sqrt(s.correlation_aa * s.correlation_bb);
     return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_distance_unbiased),
@@ -197,8 +221,10 @@ void bind_registration(nb::module_& m) {
     m.def("nearest_descriptors", &nearest_descriptors, "a"_a, "size_a"_a, "b"_a, "size_b"_a, "max_size_ratio"_a,
           "threads"_a);
     m.def("fit_surface", &fit_surface, "points"_a, "camera"_a, "radius"_a, "max_slope"_a, "threads"_a);
-    m.def("rasterise_chart", &rasterise_chart, "points"_a, "normals"_a, "T_chart_sensor"_a, "pitch"_a, "min_cosine"_a,
-          "max_edge"_a, "height"_a, "width"_a);
+    m.def("chart_coordinates", &chart_coordinates, "points"_a, "nodes"_a, "step"_a, "max_height"_a, "threads"_a);
+    m.def("rasterise_chart", &rasterise_chart, "coordinates"_a, "x"_a, "y"_a, "pitch"_a, "max_edge"_a, "height"_a,
+          "width"_a);
+    m.def("chart_surface", &chart_surface, "source"_a, "points"_a, "normals"_a, "nodes"_a, "step"_a, "threads"_a);
     m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
           "frame_angle"_a, "normal_angle"_a, "min_baseline"_a, "seeds"_a, "partners"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,

@@ -20,16 +20,15 @@ def tangential_gradient(texture: F32, tangents: F32, threads: int) -> F32: ...
 def nearest_descriptors(
     a: U8, size_a: F64, b: U8, size_b: F64, max_size_ratio: float, threads: int
 ) -> NDArray[np.int32]: ...
+def chart_coordinates(
+    points: F32, nodes: F32, step: int, max_height: float, threads: int
+) -> tuple[F32, tuple[float, float, float, float]]: ...
 def rasterise_chart(
-    points: F32,
-    normals: F32,
-    T_chart_sensor: F64,
-    pitch: float,
-    min_cosine: float,
-    max_edge: float,
-    height: int,
-    width: int,
-) -> tuple[F32, F32]: ...
+    coordinates: F32, x: float, y: float, pitch: float, max_edge: float, height: int, width: int
+) -> F32: ...
+def chart_surface(
+    source: F32, points: F32, normals: F32, nodes: F32, step: int, threads: int
+) -> tuple[F32, F32, F32]: ...
 def find_consensus(
     points_a: F64,
     points_b: F64,

@@ -91,7 +91,7 @@ def prepare(
     options = options or PairOptions()
     surface = fit_surface(measurement, options.surface, threads)
     contrast = local_contrast(measurement, options.photometric, surface, threads)
-    images = texture_images(measurement, surface, contrast, pitch_mm, options.charts)
+    images = texture_images(measurement, surface, contrast, pitch_mm, options.charts, threads)
     keypoints = detect_keypoints(images, options.keypoints)
     kept = ~held_out_pixels(measurement)
     sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
