@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
+import matched
 import sheets
 import synthetic
 from planish.geometry import transform_points
 from planish.registration.keypoints.blobs import Blobs, smooth_texture, spread_evenly
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
-from planish.registration.match.descriptors import match
 from planish.registration.texture.resample import TextureImage
 
 #: float64 products of rotations that come from float32 normals.
@@ -73,7 +73,7 @@ def test_points_and_normals_are_those_of_the_surface(sides):
 
 def test_matching_keypoints_have_the_same_place_and_frame_on_the_part(sides):
     a, b = (side.keypoints for side in sides)
-    found = match(a, b)
+    found = matched.by_descriptors(a, b)
     shift = found.points_a - transform_points(sheets.T_TRUE, found.points_b)
     distance = np.linalg.norm(shift, axis=1)
     right = distance < 2 * sheets.PITCH_MM
@@ -86,7 +86,7 @@ def test_matching_keypoints_have_the_same_place_and_frame_on_the_part(sides):
 
 def test_places_of_right_matches_are_not_shifted_on_average(sides):
     a, b = (side.keypoints for side in sides)
-    found = match(a, b)
+    found = matched.by_descriptors(a, b)
     shift = found.points_a - transform_points(sheets.T_TRUE, found.points_b)
     right = np.linalg.norm(shift, axis=1) < sheets.PITCH_MM
     # The mean of n shifts is known to their scatter over sqrt(n); a constant quarter of a pixel would stand out.
@@ -192,6 +192,21 @@ def test_the_rim_of_the_surface_has_no_keypoints():
     assert len(found) > 100
     # One and a half of the smaller scale of 2 px, less half a pixel of the refined place.
     assert min(column.min() - 50, 329 - column.max(), row.min() - 40, 259 - row.max()) >= 2.5
+
+
+def test_a_place_in_two_charts_is_described_once():
+    value = 0.03 * noise((300, 300), 8, 2.0)
+    left, right = np.ones((2, 300, 300), bool)
+    left[:, 200:], right[:, :100] = False, False
+    alone = detect_keypoints((flat(value, 0.002, left),))
+    both = detect_keypoints((flat(value, 0.002, left), flat(value, 0.002, right)))
+    # No two of one scale in two charts are nearer than the scale; beyond the overlap the second chart has its own.
+    first, second = both.take(both.chart == 0), both.take(both.chart == 1)
+    distance = np.linalg.norm(first.points_sensor[:, None] - second.points_sensor, axis=2)
+    same_size = first.size_mm[:, None] == second.size_mm
+    assert (distance[same_size] >= 1.0).all()
+    assert (second.chart_px[:, 0] > 195).sum() > 100
+    assert len(first) == len(alone)
 
 
 def test_the_descriptor_turns_with_the_picture():

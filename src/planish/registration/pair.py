@@ -13,7 +13,9 @@ from planish.options import Options
 from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
-from planish.registration.match.descriptors import MatchOptions, match
+from planish.registration.match.matching import MatchOptions, match
+from planish.registration.match.patches import PatchSide
+from planish.registration.match.whitening import PatchImage, patch_images
 from planish.registration.matches import Matches
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
@@ -52,6 +54,7 @@ class Prepared:
     surface: Surface
     contrast: tuple[Map, Map]
     images: tuple[TextureImage, ...]
+    patches: tuple[PatchImage, ...]
     keypoints: Keypoints
     #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
     sides: Mapping[float, JointSide]
@@ -96,7 +99,7 @@ def prepare(
     kept = ~held_out_pixels(measurement)
     sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
     fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
-    return Prepared(measurement, surface, contrast, images, keypoints, sides, fit_sides)
+    return Prepared(measurement, surface, contrast, images, patch_images(images), keypoints, sides, fit_sides)
 
 
 def register_pair(
@@ -104,7 +107,7 @@ def register_pair(
 ) -> PairResult:
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
     options = options or PairOptions()
-    matches = match(a.keypoints, b.keypoints, options.match, threads)
+    matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse, still_share = _moving_consensus(a, b, matches, options, threads)
     centre_b = b.keypoints.points_sensor.mean(0) if len(b.keypoints) else np.zeros(3)
     other = runner_up(coarse, centre_b, pairs_in_run)
@@ -126,6 +129,10 @@ def register_pair(
     if best is None or judgement.status != "accepted":
         return result
     return _refined_result(a, b, best.T_a_b, matches.take(best.members), result, options, threads)
+
+
+def _patch_side(side: Prepared) -> PatchSide:
+    return PatchSide(side.keypoints, side.images, side.patches)
 
 
 def _moving_consensus(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from planish.geometry import Array
 from planish.options import Options
@@ -89,14 +90,28 @@ def detect_keypoints(images: tuple[TextureImage, ...], options: KeypointOptions 
         parts.append(c.keypoints(seconds, options.support_scales))
     if not parts:
         return no_keypoints()
-    return Keypoints(
+    found = Keypoints(
         *(np.concatenate([getattr(part, name) for part in parts]) for name in Keypoints.__dataclass_fields__)
     )
+    return found if len(images) == 1 else found.take(~_twins(found))
 
 
-def _candidates(
-    image: TextureImage, chart: int, scale_px: float, options: KeypointOptions, count: int
-) -> _Candidates:
+def _twins(keypoints: Keypoints) -> NDArray[np.bool_]:
+    """Which keypoints (N,) an earlier chart has, too: the same scale, no farther than the scale.
+
+    Charts may overlap, and a place described in two of them would be its own second nearest neighbour in every match.
+    """
+    twins = np.zeros(len(keypoints), bool)
+    for chart in np.unique(keypoints.chart)[1:]:
+        for size in np.unique(keypoints.size_mm):
+            same = keypoints.size_mm == size
+            earlier, own = (np.flatnonzero(same & c) for c in (keypoints.chart < chart, keypoints.chart == chart))
+            distance, _ = cKDTree(keypoints.points_sensor[earlier]).query(keypoints.points_sensor[own])
+            twins[own] = distance < size / 2
+    return twins
+
+
+def _candidates(image: TextureImage, chart: int, scale_px: float, options: KeypointOptions, count: int) -> _Candidates:
     texture = smooth_texture(image, scale_px)
     blobs = find_blobs(texture, options.min_significance)
     xy = blobs.xy[spread_evenly(blobs, options.cell_scales * scale_px)[:count]]
