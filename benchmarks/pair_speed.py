@@ -28,7 +28,8 @@ from planish.measurement import Measurement
 from planish.pipeline import RegisterOptions
 from planish.registration.consensus import find_consensus
 from planish.registration.keypoints.detect import detect_keypoints
-from planish.registration.match.descriptors import match
+from planish.registration.match.matching import match
+from planish.registration.match.patches import PatchSide
 from planish.registration.pair import common_gsd, common_pitch, length_factor, prepare, register_pair
 from planish.registration.surface import fit_surface
 from planish.registration.texture.photometric import local_contrast
@@ -101,7 +102,8 @@ def main() -> None:
     sift = cv2.SIFT.create(KEYPOINTS, contrastThreshold=SIFT_CONTRAST)
     sift_s, _ = timed(lambda: [sift.detectAndCompute(g, None) for g in greys], runs)
     first, second = (prepare(m, pitch, options, 1) for m in (a, b))
-    matching_s, matches = timed(lambda: match(first.keypoints, second.keypoints, options.match, 1), runs)
+    sides = [PatchSide(p.keypoints, p.images, p.patches) for p in (first, second)]
+    matching_s, matches = timed(lambda: match(*sides, options.match, 1), runs)
     consensus_s, _ = timed(lambda: find_consensus(matches, options.consensus, 1), runs)
     pair_s, result = timed(lambda: register_pair(first, second, options, 1, 1), runs)
     matcher = cv2.BFMatcher(cv2.NORM_L2)
