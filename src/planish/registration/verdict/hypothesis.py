@@ -101,7 +101,7 @@ def weigh(
     the consensus has looked at (`looked_at_mm` around its place). Where these are none, all windows are
     counted against all transforms that could have been tried. Of both ways the better counts, twice.
     """
-    by_matches = log10_by_matches(matches, candidate.T_a_b, candidate.places, coarse)
+    by_matches = log10_by_matches(matches, candidate.members, candidate.T_a_b, coarse, looked_at_mm)
     members = matches.take(candidate.members)
     reach = looked_at_mm + options.window_mm / 2
 
