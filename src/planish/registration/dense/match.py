@@ -1,0 +1,152 @@
+"""The dense path: matches of windows where the texture is too weak for keypoints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from pydantic import Field
+
+from planish.geometry import Array
+from planish.measurement import Map, Measurement
+from planish.options import Options, thread_count
+from planish.registration.dense.develop import Development, develop
+from planish.registration.dense.search import Placement, search
+from planish.registration.dense.spectrum import Spectrum, analyse, plan_rotations
+from planish.registration.dense.windows import Windows, find_windows
+from planish.registration.matches import Matches, no_matches
+from planish.registration.surface import Surface
+
+
+class DenseOptions(Options):
+    """Options of the dense path."""
+
+    #: Whether pairs without a significant consensus of keypoints are correlated.
+    enabled: bool = True
+    #: Pixel of the correlated texture in ground sample distances of the run.
+    pitch_gsd: float = Field(default=3.0, ge=1, le=10)
+    #: Distance from a common placement within which each window is sought [mm].
+    search_mm: float = Field(default=24.0, gt=0)
+    #: A placement that other than by chance comes second has at least this share of the best one's significance.
+    second_share: float = Field(default=0.6, gt=0, le=1)
+
+
+@dataclass(frozen=True)
+class DenseTexture:
+    """What the dense path needs of one patch of a measurement, computed once."""
+
+    development: Development
+    spectrum: Spectrum
+    points_sensor: Map
+
+
+def prepare_dense(
+    measurement: Measurement, surface: Surface, contrast: tuple[Map, Map], gsd_mm: float, options: DenseOptions
+) -> tuple[DenseTexture, ...]:
+    """Return the developed, filtered texture of each large patch of a measurement."""
+    out = []
+    for development in develop(measurement, surface, contrast, options.pitch_gsd * gsd_mm):
+        u, v = (np.nan_to_num(development.source_px[..., i], nan=-1e4) for i in (0, 1))
+        points = cv2.remap(
+            surface.points_sensor, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4
+        )
+        out.append(DenseTexture(development, analyse(development), points))
+    return tuple(out)
+
+
+@dataclass(frozen=True)
+class WindowMatches:
+    """Matches of windows and how chance makes them.
+
+    Parameters
+    ----------
+    matches : Matches
+    chance : float
+        Probability that a window lands within the tolerance of a wrong placement: it is sought around it only.
+    tried : float
+        Number of placements that were looked at.
+    """
+
+    matches: Matches
+    chance: float
+    tried: float
+    sigma: float
+
+
+def match_windows(
+    a: Sequence[DenseTexture],
+    b: Sequence[DenseTexture],
+    tolerance_mm: float,
+    options: DenseOptions | None = None,
+    threads: int | None = None,
+) -> WindowMatches:
+    """Return the windows of b in a around the most significant placements of one texture on the other."""
+    options, count = options or DenseOptions(), thread_count(threads)
+    found: list[tuple[DenseTexture, DenseTexture, Placement]] = []
+    tried = 1.0
+    for x in a:
+        for y in b:
+            pitch = x.development.pitch_mm
+            area = min(int(x.development.mask.sum()), int(y.development.mask.sum())) * pitch**2
+            rotations = plan_rotations(x.spectrum, y.spectrum, 0.5 * area)
+            result = search(
+                x.spectrum.filtered, x.development.mask, y.spectrum.filtered, y.development.mask, rotations.angles, count
+            )
+            tried += result.looked_at
+            found += [(x, y, placement) for placement in result.placements]
+    found.sort(key=lambda item: -item[2].sigma)
+    parts, chances = [], []
+    for x, y, placement in found[:3]:
+        if placement.sigma < options.second_share * found[0][2].sigma:
+            break
+        radius = max(2, round(options.search_mm / x.development.pitch_mm))
+        windows, _ = find_windows((x.development, x.spectrum), (y.development, y.spectrum), placement, radius)
+        parts.append(_as_matches(x, y, windows, placement.angle_rad))
+        chances.append(np.pi * (1.5 * tolerance_mm / x.development.pitch_mm) ** 2 / np.maximum(windows.looked_at_px, 1))
+    # Hoeffding 1956: the tail of a sum of unequal chances is bounded by that of their mean.
+    chance = np.minimum(np.concatenate(chances), 1).mean() if sum(map(len, chances)) else 1.0
+    matches = _joined(parts) if parts else no_matches()
+    return WindowMatches(matches, float(chance), tried, found[0][2].sigma if found else 0.0)
+
+
+def _as_matches(a: DenseTexture, b: DenseTexture, windows: Windows, angle: float) -> Matches:
+    x_axis_b = np.array([np.cos(angle), -np.sin(angle)])
+    point_a, frame_a, pixel_a = _frames(a, windows.at_a, np.array([1.0, 0.0]))
+    point_b, frame_b, pixel_b = _frames(b, windows.at_b, x_axis_b)
+    found = Matches(point_a, point_b, frame_a, frame_b, pixel_a, pixel_b, windows.correlation)
+    known = np.isfinite(point_a).all(1) & np.isfinite(point_b).all(1)
+    known &= np.isfinite(frame_a).all((1, 2)) & np.isfinite(frame_b).all((1, 2)) & np.isfinite(pixel_a + pixel_b).all(1)
+    order = np.flatnonzero(known)
+    return found.take(order[np.argsort(-windows.correlation[order], kind="stable")])
+
+
+def _frames(texture: DenseTexture, at: Array, direction: Array) -> tuple[Array, Array, Array]:
+    """Points (n, 3), frames (n, 3, 3) whose orientation is `direction` (2,) of the development, pixels (n, 2)."""
+    step = 3.0
+
+    def sampled(image: Map, offset: tuple[float, float]) -> Array:
+        where = (at + np.asarray(offset)).astype(np.float32)
+        return cv2.remap(
+            image, where[:, :1], where[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(np.nan,) * 4,
+        ).reshape(len(at), -1).astype(float)  # fmt: skip
+
+    if len(at) == 0:
+        return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 2))
+    points = texture.points_sensor
+    x = sampled(points, (step, 0)) - sampled(points, (-step, 0))
+    y = sampled(points, (0, step)) - sampled(points, (0, -step))
+    with np.errstate(invalid="ignore"):
+        normal = -np.cross(x, y)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        along = direction[0] * x + direction[1] * y
+        along -= normal * np.einsum("ni,ni->n", normal, along)[:, None]
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+    frames = np.stack([along, np.cross(normal, along), normal], 2)
+    return sampled(points, (0, 0)), frames, sampled(texture.development.source_px, (0, 0))
+
+
+def _joined(parts: Sequence[Matches]) -> Matches:
+    return Matches(*(np.concatenate([getattr(p, name) for p in parts]) for name in Matches.__dataclass_fields__))
