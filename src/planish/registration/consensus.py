@@ -77,12 +77,16 @@ def find_consensus(
     options: ConsensusOptions | None = None,
     threads: int | None = None,
     exclude: NDArray[np.bool_] | None = None,
+    chance: float | None = None,
 ) -> CoarseResult:
-    """Return the best transforms of b in a; `exclude` (M,) leaves matches out."""
+    """Return the best transforms of b in a; `exclude` (M,) leaves matches out.
+
+    `chance` that a wrong match agrees follows from the density of the places, unless the matches were sought otherwise.
+    """
     options = options or ConsensusOptions()
     use = np.arange(len(matches)) if exclude is None else np.flatnonzero(~exclude)
     points_a, points_b = matches.points_a, matches.points_b
-    chance = _chance(points_a[use], options)
+    chance = _chance(points_a[use], options) if chance is None else chance
     places = count_places(points_a[use], options.distinct_mm)
     first = _best(matches, use, options, thread_count(threads))
     if first is None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from planish.geometry import Array, transform_points
 from planish.measurement import Map, Measurement
 from planish.options import Options
 from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
+from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows, prepare_dense, signal_to_noise
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
 from planish.registration.match.descriptors import MatchOptions, match
@@ -39,6 +41,7 @@ class PairOptions(Options):
     charts: ChartOptions = ChartOptions()
     keypoints: KeypointOptions = KeypointOptions()
     match: MatchOptions = MatchOptions()
+    dense: DenseOptions = DenseOptions()
     consensus: ConsensusOptions = ConsensusOptions()
     refine: RefineOptions = RefineOptions()
     verdict: VerdictOptions = VerdictOptions()
@@ -56,6 +59,18 @@ class Prepared:
     #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
     sides: Mapping[float, JointSide]
     fit_sides: Mapping[float, JointSide]
+    #: Pixel of the developed texture [mm].
+    dense_pitch_mm: float = float("nan")
+
+    @cached_property
+    def dense(self) -> tuple[DenseTexture, ...]:
+        """The developed texture: made when the first pair asks for it."""
+        return prepare_dense(self.measurement, self.surface, self.contrast, self.dense_pitch_mm)
+
+    @cached_property
+    def signal_to_noise(self) -> float:
+        """How strong the texture is against its noise (variances)."""
+        return signal_to_noise(self.images)
 
 
 #: Pitch of the texture images in multiples of the ground sample distance: the detector doubles the image, so that its
@@ -96,7 +111,8 @@ def prepare(
     kept = ~held_out_pixels(measurement)
     sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
     fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
-    return Prepared(measurement, surface, contrast, images, keypoints, sides, fit_sides)
+    dense_pitch = options.dense.pitch_factor * pitch_mm
+    return Prepared(measurement, surface, contrast, images, keypoints, sides, fit_sides, dense_pitch)
 
 
 def register_pair(
@@ -106,9 +122,15 @@ def register_pair(
     options = options or PairOptions()
     matches = match(a.keypoints, b.keypoints, options.match, threads)
     coarse, still_share = _moving_consensus(a, b, matches, options, threads)
-    centre_b = b.keypoints.points_sensor.mean(0) if len(b.keypoints) else np.zeros(3)
-    other = runner_up(coarse, centre_b, pairs_in_run)
-    judgement = judge_coarse(coarse, other, still_share, pairs_in_run, options.verdict)
+    tried: float = pairs_in_run
+    if _alarms(coarse, tried) > options.verdict.max_log10_false_alarms and _asks_for_windows(a, b, options.dense):
+        windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
+        moving, share = _moving_consensus(a, b, windows.matches, options, threads, windows.chance)
+        if _alarms(moving, pairs_in_run * windows.tried) < _alarms(coarse, tried):
+            matches, coarse, still_share, tried = windows.matches, moving, share, pairs_in_run * windows.tried
+    centre_b = matches.points_b.mean(0) if len(matches) else np.zeros(3)
+    other = runner_up(coarse, centre_b, tried)
+    judgement = judge_coarse(coarse, other, still_share, tried, options.verdict)
     best = coarse.candidates[0] if coarse.candidates else None
     result = PairResult(
         a=a.measurement.name,
@@ -117,7 +139,7 @@ def register_pair(
         reason=judgement.reason,
         matches=len(matches),
         consensus=best.places if best else 0,
-        log10_false_alarms=log10_false_alarms(best.places if best else 0, coarse.places, coarse.chance, pairs_in_run),
+        log10_false_alarms=_alarms(coarse, tried),
         runner_up=other,
         T_coarse_a_b=best.T_a_b if best else None,
         matches_px=_pixels(matches),
@@ -128,22 +150,37 @@ def register_pair(
     return _refined_result(a, b, best.T_a_b, matches.take(best.members), result, options, threads)
 
 
+def _alarms(coarse: CoarseResult, tried: float) -> float:
+    places = coarse.candidates[0].places if coarse.candidates else 0
+    return log10_false_alarms(places, coarse.places, coarse.chance, tried)
+
+
+def _asks_for_windows(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
+    """Whether keypoints may have failed because the texture is too weak for them."""
+    return options.enabled and min(a.signal_to_noise, b.signal_to_noise) < options.max_signal_to_noise
+
+
 def _moving_consensus(
-    a: Prepared, b: Prepared, matches: Matches, options: PairOptions, threads: int | None
+    a: Prepared,
+    b: Prepared,
+    matches: Matches,
+    options: PairOptions,
+    threads: int | None,
+    chance: float | None = None,
 ) -> tuple[CoarseResult, float]:
     """Return the consensus and the share of it that stands still in the image.
 
     Where the best consensus stands still (sensor pattern, background), the texture of the part may hide behind it: what
     moves is asked alone before the pair is given up.
     """
-    coarse = find_consensus(matches, options.consensus, threads)
+    coarse = find_consensus(matches, options.consensus, threads, chance=chance)
     if not coarse.candidates or not same_sensor(a.measurement, b.measurement):
         return coarse, 0.0
     still = standing_still(matches, options.verdict.still_px)
     share = float(still[coarse.candidates[0].members].mean())
     if share <= options.verdict.still_share:
         return coarse, share
-    moving = find_consensus(matches, options.consensus, threads, exclude=still)
+    moving = find_consensus(matches, options.consensus, threads, exclude=still, chance=chance)
     if moving.candidates:
         best = moving.candidates[0]
         alarms = log10_false_alarms(best.places, moving.places, moving.chance, 1)

@@ -15,8 +15,8 @@ from planish.registration.dense.flatten import flatten
 from planish.registration.surface import Surface
 from planish.registration.tiles import ground_sample_distance
 
-#: Distance of the nodes that are flattened [mm at the reference sensor's distance, in ground sample distances].
-_NODE_GSD = 20
+#: Distance of the nodes that are flattened [px].
+_NODE_PX = 20
 #: A patch of the surface smaller than this share of the largest holds too little for correlation.
 _LEAST_PATCH = 0.2
 #: Surface seen flatter than this has no texture left [cosine].
@@ -83,7 +83,7 @@ def _flat_map(measurement: Measurement, surface: Surface, gsd: float) -> tuple[A
 
 
 def _nodes(shape: tuple[int, int]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    rows, columns = (np.rint(np.linspace(0, n - 1, max(3, n // _NODE_GSD))).astype(np.intp) for n in shape)
+    rows, columns = (np.rint(np.linspace(0, n - 1, max(3, n // _NODE_PX))).astype(np.intp) for n in shape)
     return rows, columns
 
 
@@ -122,7 +122,7 @@ def _rasterised(
 ) -> Development:
     least = np.nanmin(flat, axis=(0, 1))
     points = np.dstack([flat - least, np.zeros(flat.shape[:2], np.float32)]).astype(np.float32)
-    facing = np.where(np.isfinite(flat[..., :1]), np.float32([0, 0, -1]), np.float32(np.nan))
+    facing = np.where(np.isfinite(flat[..., :1]), np.array([0, 0, -1], np.float32), np.float32(np.nan))
     # Drawn twice as fine and averaged, so that what the pitch cannot hold does not fold back.
     fine = pitch_mm / 2
     width, height = (2 * (int(n / pitch_mm) + 1) for n in np.nanmax(points, axis=(0, 1))[:2])
@@ -138,5 +138,5 @@ def _rasterised(
     mask = drawn(known.astype(np.float32)) > 0.99
     value, noise = (np.where(mask, drawn(image), np.float32(0)) for image in (score, noise))
     # The mean of a block's four centres is its own centre, half a fine pixel off its first one.
-    centre = np.nanmean(source.reshape(height // 2, 2, width // 2, 2, 2), axis=(1, 3)) if mask.any() else source[::2, ::2]
-    return Development(pitch_mm, value, noise, mask, np.where(mask[..., None], centre, np.float32(np.nan)))
+    centre = source.reshape(height // 2, 2, width // 2, 2, 2).mean((1, 3))
+    return Development(pitch_mm, value, noise, mask, centre.astype(np.float32))

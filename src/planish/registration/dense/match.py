@@ -18,6 +18,7 @@ from planish.registration.dense.spectrum import Spectrum, analyse, plan_rotation
 from planish.registration.dense.windows import Windows, find_windows
 from planish.registration.matches import Matches, no_matches
 from planish.registration.surface import Surface
+from planish.registration.texture.resample import TextureImage
 
 
 class DenseOptions(Options):
@@ -25,12 +26,24 @@ class DenseOptions(Options):
 
     #: Whether pairs without a significant consensus of keypoints are correlated.
     enabled: bool = True
-    #: Pixel of the correlated texture in ground sample distances of the run.
-    pitch_gsd: float = Field(default=3.0, ge=1, le=10)
+    #: Pixel of the correlated texture in pixels of the texture images.
+    pitch_factor: float = Field(default=2.0, ge=1, le=10)
+    #: Only texture whose variance is below this many times that of its noise: keypoints find the rest.
+    max_signal_to_noise: float = Field(default=1.0, ge=0)
     #: Distance from a common placement within which each window is sought [mm].
     search_mm: float = Field(default=24.0, gt=0)
     #: A placement that other than by chance comes second has at least this share of the best one's significance.
     second_share: float = Field(default=0.6, gt=0, le=1)
+
+
+def signal_to_noise(images: Sequence[TextureImage]) -> float:
+    """Return the variance of the texture over that of the cameras' noise (robust, of what is most of the surface)."""
+    values = [np.abs(i.value[i.mask][::7]) for i in images]
+    noises = [i.sigma[i.mask][::7] for i in images]
+    if not sum(map(len, values)):
+        return 0.0
+    spread, noise = 1.4826 * np.median(np.concatenate(values)), np.median(np.concatenate(noises))
+    return float(max((spread / max(noise, 1e-12)) ** 2 - 1, 0.0))
 
 
 @dataclass(frozen=True)
@@ -43,11 +56,11 @@ class DenseTexture:
 
 
 def prepare_dense(
-    measurement: Measurement, surface: Surface, contrast: tuple[Map, Map], gsd_mm: float, options: DenseOptions
+    measurement: Measurement, surface: Surface, contrast: tuple[Map, Map], pitch_mm: float
 ) -> tuple[DenseTexture, ...]:
     """Return the developed, filtered texture of each large patch of a measurement."""
     out = []
-    for development in develop(measurement, surface, contrast, options.pitch_gsd * gsd_mm):
+    for development in develop(measurement, surface, contrast, pitch_mm):
         u, v = (np.nan_to_num(development.source_px[..., i], nan=-1e4) for i in (0, 1))
         points = cv2.remap(
             surface.points_sensor, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4
@@ -67,6 +80,8 @@ class WindowMatches:
         Probability that a window lands within the tolerance of a wrong placement: it is sought around it only.
     tried : float
         Number of placements that were looked at.
+    sigma : float
+        Significance of the best placement's correlation [standard deviations].
     """
 
     matches: Matches
@@ -84,31 +99,43 @@ def match_windows(
 ) -> WindowMatches:
     """Return the windows of b in a around the most significant placements of one texture on the other."""
     options, count = options or DenseOptions(), thread_count(threads)
+    found, tried = _placements(a, b, count)
+    parts, chances = [], []
+    for x, y, placement in found[:_MOST_PLACEMENTS]:
+        if placement.sigma < options.second_share * found[0][2].sigma:
+            break
+        pitch = x.development.pitch_mm
+        radius = max(2, round(options.search_mm / pitch))
+        windows, _ = find_windows((x.development, x.spectrum), (y.development, y.spectrum), placement, radius)
+        parts.append(_as_matches(x, y, windows, placement.angle_rad))
+        # Half a tolerance of freedom that the fit takes.
+        chances.append(np.pi * (1.5 * tolerance_mm / pitch) ** 2 / np.maximum(windows.looked_at_px, 1))
+    if not sum(map(len, chances)):
+        return WindowMatches(no_matches(), 1.0, tried, found[0][2].sigma if found else 0.0)
+    # Hoeffding 1956: the tail of a sum of unequal chances is bounded by that of their mean.
+    chance = float(np.minimum(np.concatenate(chances), 1).mean())
+    return WindowMatches(_joined(parts), chance, tried, found[0][2].sigma)
+
+
+#: Placements whose windows are looked at.
+_MOST_PLACEMENTS = 3
+
+
+def _placements(
+    a: Sequence[DenseTexture], b: Sequence[DenseTexture], threads: int
+) -> tuple[list[tuple[DenseTexture, DenseTexture, Placement]], float]:
+    """The placements of all patches on all patches, best first, and how many were looked at."""
     found: list[tuple[DenseTexture, DenseTexture, Placement]] = []
     tried = 1.0
     for x in a:
         for y in b:
-            pitch = x.development.pitch_mm
-            area = min(int(x.development.mask.sum()), int(y.development.mask.sum())) * pitch**2
-            rotations = plan_rotations(x.spectrum, y.spectrum, 0.5 * area)
-            result = search(
-                x.spectrum.filtered, x.development.mask, y.spectrum.filtered, y.development.mask, rotations.angles, count
-            )
+            masks = x.development.mask, y.development.mask
+            area_mm2 = min(int(m.sum()) for m in masks) * x.development.pitch_mm**2
+            angles = plan_rotations(x.spectrum, y.spectrum, 0.5 * area_mm2).angles
+            result = search(x.spectrum.filtered, masks[0], y.spectrum.filtered, masks[1], angles, threads)
             tried += result.looked_at
             found += [(x, y, placement) for placement in result.placements]
-    found.sort(key=lambda item: -item[2].sigma)
-    parts, chances = [], []
-    for x, y, placement in found[:3]:
-        if placement.sigma < options.second_share * found[0][2].sigma:
-            break
-        radius = max(2, round(options.search_mm / x.development.pitch_mm))
-        windows, _ = find_windows((x.development, x.spectrum), (y.development, y.spectrum), placement, radius)
-        parts.append(_as_matches(x, y, windows, placement.angle_rad))
-        chances.append(np.pi * (1.5 * tolerance_mm / x.development.pitch_mm) ** 2 / np.maximum(windows.looked_at_px, 1))
-    # Hoeffding 1956: the tail of a sum of unequal chances is bounded by that of their mean.
-    chance = np.minimum(np.concatenate(chances), 1).mean() if sum(map(len, chances)) else 1.0
-    matches = _joined(parts) if parts else no_matches()
-    return WindowMatches(matches, float(chance), tried, found[0][2].sigma if found else 0.0)
+    return sorted(found, key=lambda item: -item[2].sigma), tried
 
 
 def _as_matches(a: DenseTexture, b: DenseTexture, windows: Windows, angle: float) -> Matches:

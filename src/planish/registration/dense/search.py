@@ -98,9 +98,7 @@ def _peaks(surface: Map, overlap: Map, angle: float, low: Array) -> list[Placeme
         row, column = divmod(int(surface.argmax()), w)
         shift = np.array([column - w if column > w // 2 else column, row - h if row > h // 2 else row], float)
         # Shifts run round: the far half of the surface holds the negative ones.
-        peaks.append(
-            Placement(angle, shift - low, float(surface[row, column] / spread), float(overlap[row, column]))
-        )
+        peaks.append(Placement(angle, shift - low, float(surface[row, column] / spread), float(overlap[row, column])))
         surface[np.ix_((row + around) % h, (column + around) % w)] = 0
     return peaks
 

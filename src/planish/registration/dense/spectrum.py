@@ -78,8 +78,10 @@ def analyse(development: Development) -> Spectrum:
 
 def _evened(filtered: Map, mask: NDArray[np.bool_]) -> Map:
     """The same with unit variance everywhere: where the noise is stronger than elsewhere, it must not rule."""
-    blur = (lambda image: cv2.GaussianBlur(image, (0, 0), _EVEN_PX, borderType=cv2.BORDER_CONSTANT))  # fmt: skip
-    density, energy = blur(mask.astype(np.float32)), blur(filtered**2)
+    density, energy = (
+        cv2.GaussianBlur(image, (0, 0), _EVEN_PX, borderType=cv2.BORDER_CONSTANT)
+        for image in (mask.astype(np.float32), filtered**2)
+    )
     return np.where(mask, filtered * np.sqrt(density / np.maximum(energy, np.float32(1e-12))), np.float32(0))
 
 
@@ -124,7 +126,7 @@ class Rotations:
 
 #: A rotation is tried if the powers agree as well as this share of the best agreement.
 _AGREEMENT = 0.95
-#: Phase error of the texture half a step of rotation off, rms over the overlap [rad]: costs a quarter of the correlation.
+#: Phase error of the texture half a step of rotation off, rms over the overlap [rad]; costs a quarter of the height.
 _PHASE = 0.8
 
 
@@ -152,7 +154,7 @@ def plan_rotations(a: Spectrum, b: Spectrum, area_mm2: float) -> Rotations:
     return Rotations(angles[keep], full, float(np.sqrt(power.max())))
 
 
-def _over_rotations(a: Array, b: Array) -> Array:
+def _over_rotations(a: Map | Array, b: Map | Array) -> Array:
     """Sum over rings of a(angle + rotation) * b(angle), per rotation (angles,)."""
     product = np.fft.rfft(a, axis=1) * np.conj(np.fft.rfft(b, axis=1))
     return np.asarray(np.fft.irfft(product.sum(0), _ANGLES))

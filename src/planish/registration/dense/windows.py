@@ -18,7 +18,7 @@ from planish.registration.dense.spectrum import Spectrum
 #: A window counts where both textures cover this share of it.
 _COVERED = 0.6
 #: Significance that a window should have by itself, for the first look and for the last [standard deviations].
-_WINDOW_SIGMA = (7.0, 6.0)
+_WINDOW_SIGMA = (7.0, 4.5)
 #: Smallest window [px], most windows.
 _LEAST_PX, _MOST = 8, 400
 #: What stands still in the image is masked out within this many pixels of the camera.
@@ -84,8 +84,8 @@ def _correlate(
     patches = _patches(laid(spec_b.filtered, cv2.INTER_CUBIC), corners, size, 0)
     around = _patches(spec_a.filtered, corners, size, radius)
     surfaces = _surfaces(around, patches, radius)
-    with np.errstate(invalid="ignore"):
-        still = _still_places(dev_a.source_px, cv2.warpAffine(dev_b.source_px, affine, (w, h), borderValue=(np.nan,) * 4), corners, size)
+    source_b = cv2.warpAffine(dev_b.source_px, affine, (w, h), borderValue=(np.nan,) * 4)
+    still = _still_places(dev_a.source_px, source_b, corners, size)
     shift, peak, looked_at = _peaks(surfaces, still, radius)
     middle = corners[:, ::-1] + 0.5 * (size - 1)
     inverse = np.linalg.inv(affine[:, :2])
@@ -128,7 +128,8 @@ def _surfaces(around: Map, patches: Map, radius: int) -> Map:
     own = (patches.astype(np.float64) ** 2).sum((1, 2))
     # The filtered texture has unit variance: its energy is the area covered.
     covered = energy >= _COVERED * size * size
-    return np.where(covered, surface / np.sqrt(np.maximum(energy * own[:, None, None], 1e-12)), np.nan).astype(np.float32)
+    height = surface / np.sqrt(np.maximum(energy * own[:, None, None], 1e-12))
+    return np.where(covered, height, np.nan).astype(np.float32)
 
 
 def _still_places(source_a: Map, source_b: Map, corners: NDArray[np.intp], size: int) -> tuple[Array, Array]:

@@ -42,7 +42,7 @@ class Judgement:
     reason: str
 
 
-def runner_up(coarse: CoarseResult, centre_b: Array, pairs_in_run: int) -> RunnerUp | None:
+def runner_up(coarse: CoarseResult, centre_b: Array, pairs_in_run: float) -> RunnerUp | None:
     """Return the second candidate as evidence, with its difference from the first at a point of b."""
     if len(coarse.candidates) < 2:
         return None
@@ -58,7 +58,7 @@ def runner_up(coarse: CoarseResult, centre_b: Array, pairs_in_run: int) -> Runne
 
 
 def judge_coarse(
-    coarse: CoarseResult, other: RunnerUp | None, still_share: float, pairs_in_run: int, options: VerdictOptions
+    coarse: CoarseResult, other: RunnerUp | None, still_share: float, pairs_in_run: float, options: VerdictOptions
 ) -> Judgement:
     """Judge the consensus alone, before the refinement."""
     best: Candidate | None = coarse.candidates[0] if coarse.candidates else None
