@@ -62,7 +62,7 @@ def prepared(m):
     """What the refinement needs of a measurement, without its keypoints."""
     surface, contrast = fit_surface(m), local_contrast(m)
     sides = {s: joint_side(m, surface, contrast, s) for s in sheets.OPTIONS.refine.smoothing_px}
-    return Prepared(m, surface, contrast, (), None, sides, sides)
+    return Prepared(m, surface, contrast, (), (), None, sides, sides)
 
 
 @pytest.mark.parametrize("bend", [0.0, sheets.BENT])
@@ -167,14 +167,15 @@ def test_the_pull_of_a_tile_is_the_derivative_of_its_gradient(weights):
     u, v = found.pixels.T
     assert len(found.pixels) == np.isfinite(expected).all((2, 3)).sum()
     scale = np.array([150.0] * 3 + [1.0] * 3)[None, :, None]
-    one, two = found.by_shift / scale, expected[v // 16, u // 16] / scale
+    one, two = (found.distance + found.texture) / scale, expected[v // 16, u // 16] / scale
     np.testing.assert_allclose(one, two, atol=PULL_TOLERANCE * np.abs(two).max())
 
 
 def test_the_pull_of_all_tiles_changes_the_gradient_as_a_step_of_the_transform_does():
     a, b, _, T, about = tiles(sheets.BENT)
     weights = Weights(0.04, 1.5, 700.0, 0.8)
-    total = pull(a, b, T, about, weights, stride=1, tile_px=16, **SETTINGS).by_shift.sum(0)
+    found = pull(a, b, T, about, weights, stride=1, tile_px=16, **SETTINGS)
+    total = (found.distance + found.texture).sum(0)
     for axis in range(3):
         xi = np.zeros(6)
         xi[3 + axis] = 2e-3

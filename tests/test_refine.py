@@ -11,6 +11,7 @@ import sheets
 from planish.geometry import difference, exp_se3, invert, perturb
 from planish.registration.pair import PairOptions, prepare, refine_pair
 from planish.registration.refine.covariance import noise_covariance
+from planish.registration.refine.information import information
 from planish.registration.refine.overlap import overlap_extent
 from planish.registration.refine.residuals import Weights, equations, smooth_texture
 from planish.registration.refine.solve import RefineOptions, refine
@@ -107,7 +108,7 @@ def close(found, expected):
 def test_the_gradients_of_the_tiles_add_up_to_the_whole(bent):
     a, b = (side.fit_sides[2.0] for side in bent)
     found = at(a, b, sheets.T_TRUE, np.zeros(3), Weights(0.01, 1.5, 700.0, 0.8))
-    np.testing.assert_allclose(found.tile_gradients.sum((0, 1)), found.g_distance + found.g_texture, rtol=1e-9)
+    np.testing.assert_allclose(found.tile_gradients.sum((0, 1)), [found.g_distance, found.g_texture], rtol=1e-9)
 
 
 def test_held_out_pixels_take_no_part(bent):
@@ -261,3 +262,37 @@ def test_smoothing_averages_known_pixels_only():
     smooth = smooth_texture(value, known, 2.0)
     assert np.isnan(smooth[~known]).all()
     np.testing.assert_allclose(smooth[known], 3.0, rtol=1e-6)
+
+
+def test_distances_pull_nowhere_along_a_noisy_plane():
+    """The noise of the normals has a gradient along the plane; its share of the information says that it is noise."""
+    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0), seed), sheets.PITCH_MM).sides[0.8] for seed in (1, 2))
+    about = np.zeros(3)
+    plain = at(a, b, np.eye(4), about)
+    found = at(a, b, np.eye(4), about, Weights.from_residuals(plain, 0.8))
+    info = information(found, LEVER_MM)
+    held = found.g_distance / SCALE
+    along, across = [2, 3, 4], [0, 1, 5]
+    kept = info.trust @ held
+    # In units of the noise of the gradient along the plane if normals and distances were independent.
+    expected = np.sqrt(np.diag(found.H_distance)[along]) / SCALE[along]
+    assert (np.abs(held[along]) > 0.1 * expected).any()
+    assert (np.abs(kept[along]) < 0.1 * expected).all()
+    np.testing.assert_allclose(kept[across], held[across], rtol=0.02, atol=0.02 * np.abs(held[across]).max())
+
+
+def test_the_curvature_of_weak_texture_is_that_of_its_gradient():
+    """Grain at half of its noise: steps by J'J would fall short, the expected curvature predicts the gradient."""
+    a, b = (
+        prepare(sheets.noisy(sheets.quiet("a", 0.0, 0.004), seed, 4.0), sheets.PITCH_MM).sides[2.0] for seed in (1, 2)
+    )
+    about = np.zeros(3)
+    weights = Weights.from_residuals(at(a, b, np.eye(4), about), 2.0)
+    xi = np.array([0, 0, 0, 0.2, 0, 0])
+    ends = [at(a, b, perturb(np.eye(4), s * xi, about), about, weights) for s in (1, -1)]
+    slope = (ends[0].g_texture - ends[1].g_texture)[3] / 0.4
+    middle = at(a, b, np.eye(4), about, weights)
+    assert middle.H_texture[3, 3] > 1.5 * slope
+    info = information(middle, LEVER_MM)
+    # Two noisy gradients over 50,000 pixels smoothed by 2 px.
+    assert info.texture[3, 3] == pytest.approx(slope, rel=0.15)

@@ -1,4 +1,4 @@
-"""Charts and texture images: as many as the surface needs, metric, not mirrored."""
+"""Texture images: metric, not mirrored, each pixel at its place on the part."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ import pytest
 import sheets
 import synthetic
 from planish import _core
-from planish.geometry import exp_se3, invert, is_rigid, transform_points
+from planish.geometry import exp_se3
 from planish.registration.surface import fit_surface
-from planish.registration.texture.charts import ChartOptions, plan_charts
 from planish.registration.texture.photometric import local_contrast
 from planish.registration.texture.resample import texture_images
 from reference import chart as reference
@@ -34,70 +33,57 @@ def bent():
     return images(sheets.quiet("a"))[0]
 
 
-@pytest.fixture(scope="module")
-def pipe():
-    m = sheets.quiet("a", sheets.ROUND)
-    return m, fit_surface(m)
-
-
-def test_a_tiny_chart_is_rastered_as_defined():
+def tiny_chart():
+    """A bent patch of 7 x 9 pixels with nodes every two pixels, one missing."""
     rng = np.random.default_rng(3)
     rows, columns = np.mgrid[:7, :9]
     points = np.stack([columns * 1.1, rows * 0.9, 0.3 * columns], -1) + 0.1 * rng.standard_normal((7, 9, 3))
     points[2, 3] = np.nan
     points[5, 6:] += [0, 0, 2.0]
-    normals = np.tile(np.float32([0, 0, -1]), (7, 9, 1))
-    normals[0, :3] = [1, 0, 0]
-    T = exp_se3([0.1, -0.05, 0.2, 0.5, 0.4, 1.0])
-    args = (normals, T, 0.35, 0.8, 2.5, 24, 30)
-    source, z = _core.rasterise_chart(points.astype(np.float32), *args)
-    source_twin, z_twin = reference.rasterise(points.astype(np.float32), *args)
-    assert 100 < np.isfinite(z).sum() < z.size
+    normals = np.tile([-0.26, 0, -0.97], (7, 9, 1)) + 0.05 * rng.standard_normal((7, 9, 3))
+    nodes = np.zeros((3, 4, 13))
+    for i in np.ndindex(3, 4):
+        frame = exp_se3([0.0, 0.29, 0.0, 0.5, 0.4, 0.3] + 0.01 * rng.standard_normal(6))
+        nodes[i] = [1, *frame[:3, :3].ravel(), *frame[:3, 3]]
+    nodes[1, 2] = 0
+    return points.astype(np.float32), normals.astype(np.float32), nodes.astype(np.float32)
+
+
+def test_pixels_find_their_place_on_the_unrolled_surface_as_defined():
+    points, _, nodes = tiny_chart()
+    places, extent = _core.chart_coordinates(points, nodes, 2, 1.0, 1)
+    twin = reference.coordinates(points, nodes, 2, 1.0)
+    assert 30 < np.isfinite(twin[..., 0]).sum() < twin[..., 0].size - 1
+    np.testing.assert_allclose(places, twin, atol=RASTER_TOLERANCE)
+    np.testing.assert_allclose(extent, [*np.nanmin(twin, (0, 1)), *np.nanmax(twin, (0, 1))], atol=RASTER_TOLERANCE)
+
+
+def test_a_tiny_chart_is_rastered_as_defined():
+    points, normals, nodes = tiny_chart()
+    places, extent = _core.chart_coordinates(points, nodes, 2, 9.0, 1)
+    source = _core.rasterise_chart(places, *extent[:2], 0.35, 2.5, 24, 30)
+    twin = reference.rasterise(places.astype(float), np.array(extent[:2]), 0.35, 2.5, 24, 30)
+    known = np.isfinite(source[..., 0])
+    assert 100 < known.sum() < known.size
     # The kernel is generous by 1e-4 of a triangle: pixels exactly on a rim may differ.
-    assert (np.isfinite(z) != np.isfinite(z_twin)).sum() <= 2
-    np.testing.assert_allclose((z - z_twin)[np.isfinite(z - z_twin)], 0, atol=RASTER_TOLERANCE)
-    both = np.isfinite(source[..., 0] - source_twin[..., 0])
-    np.testing.assert_allclose(source[both], source_twin[both], atol=RASTER_TOLERANCE)
+    assert (known != np.isfinite(twin[..., 0])).sum() <= 2
+    both = known & np.isfinite(twin[..., 0])
+    np.testing.assert_allclose(source[both], twin[both], atol=RASTER_TOLERANCE)
+    for found, expected in zip(
+        _core.chart_surface(source, points, normals, nodes, 2, 1),
+        reference.surface(source, points, normals, nodes, 2),
+        strict=True,
+    ):
+        np.testing.assert_allclose(found, expected, atol=RASTER_TOLERANCE)
 
 
-def test_of_two_layers_the_one_nearer_to_the_sensor_is_seen():
-    rows, columns = np.mgrid[:4, :4].astype(np.float32)
-    near, far = np.stack([columns, rows, 0 * rows + 1], -1), np.stack([columns, rows, 0 * rows + 5], -1)
-    gap = np.full((1, 4, 3), np.nan, np.float32)
-    normals = np.tile(np.float32([0, 0, -1]), (9, 4, 1))
-    for layers in ((near, gap, far), (far, gap, near)):
-        _, z = _core.rasterise_chart(np.concatenate(layers), normals, np.eye(4), 1.0, 0.8, 3.0, 4, 4)
-        np.testing.assert_array_equal(z, 1)
-
-
-def test_a_plate_needs_one_chart():
-    for side in "ab":
-        m = sheets.quiet(side, 0.0)
-        assert len(plan_charts(m, fit_surface(m))) == 1
-
-
-def test_a_pipe_needs_several_charts_that_overlap_and_cover_it(pipe):
-    m, surface = pipe
-    options = ChartOptions()
-    charts = plan_charts(m, surface, options)
-    assert 2 <= len(charts) <= options.max_charts
-    normals = surface.normals_sensor[np.isfinite(surface.normals_sensor[..., 0])]
-    angles = np.rad2deg([np.arccos(np.clip(normals @ -T[2, :3], -1, 1)) for T in charts])
-    assert (angles.min(0) > options.core_deg).mean() <= options.uncovered
-    assert ((angles < options.reach_deg).sum(0) >= 2).mean() > 0.1
-
-
-def test_a_measurement_without_surface_has_no_chart(pipe):
-    m, surface = pipe
-    nothing = type(surface)(*(np.full_like(getattr(surface, n), np.nan) for n in surface.__dataclass_fields__))
-    assert plan_charts(m, nothing) == ()
-
-
-def test_charts_are_right_handed_with_z_into_the_surface(pipe):
-    m, surface = pipe
-    for T in plan_charts(m, surface):
-        assert is_rigid(T)
-        assert T[2, :3] @ (surface.points_sensor[130, 170] - m.camera.center_sensor) > 0
+def test_the_kernels_give_the_same_bytes_for_any_number_of_threads():
+    m = sheets.quiet("a")
+    surface = fit_surface(m)
+    drawn = [texture_images(m, surface, local_contrast(m), sheets.PITCH_MM, threads=n)[0] for n in (1, 3)]
+    for name in type(drawn[0]).__dataclass_fields__:
+        one, other = (np.asarray(getattr(image, name)) for image in drawn)
+        assert one.tobytes() == other.tobytes(), name
 
 
 def test_pictures_are_not_mirrored_and_upright_as_the_camera_sees_them(bent):
@@ -105,17 +91,50 @@ def test_pictures_are_not_mirrored_and_upright_as_the_camera_sees_them(bent):
     assert np.nanmedian(np.diff(bent.source_px[..., 1], axis=0)) > 0
 
 
-def test_texture_pixels_lie_on_the_surface_at_their_metric_place(bent):
-    rows, columns = np.nonzero(bent.mask)
-    chart = np.column_stack([columns * bent.pitch_mm, rows * bent.pitch_mm, bent.height_mm[rows, columns]])
-    points = transform_points(invert(bent.T_chart_sensor), chart)
+def area_mm2(m):
+    p = m.points_sensor.astype(float)
+    return np.linalg.norm(np.cross(p[:-1, 1:] - p[:-1, :-1], p[1:, :-1] - p[:-1, :-1]), axis=2).sum()
+
+
+def test_texture_pixels_lie_on_the_surface_at_the_pixel_they_were_taken_from(bent):
+    points = bent.points_sensor[bent.mask].astype(float)
     height = synthetic.height(points[:, 0], points[:, 1], sheets.BENT)
     assert np.abs(points[:, 2] - height).max() < SURFACE_TOLERANCE_MM
     camera = sheets.quiet("a").camera
-    np.testing.assert_allclose(camera.project(points), bent.source_px[rows, columns], atol=PIXEL_TOLERANCE)
-    # Nothing of the surface is missing but a rim, nothing beyond it is invented.
-    assert bent.mask.mean() > 0.8
-    assert (bent.normal_chart[bent.mask][:, 2] < 0).all()
+    np.testing.assert_allclose(camera.project(points), bent.source_px[bent.mask], atol=PIXEL_TOLERANCE)
+    # Nothing of the surface is missing but a rim of two pixels, nothing beyond it is invented.
+    assert bent.mask.sum() * bent.pitch_mm**2 > 0.92 * area_mm2(sheets.quiet("a"))
+
+
+def test_steps_in_the_picture_are_steps_along_the_surface(bent):
+    """A sheet with a little double curvature: lengths to a per cent, x and y at right angles."""
+    inner = bent.mask[:-1, :-1] & bent.mask[1:, :-1] & bent.mask[:-1, 1:]
+    points = bent.points_sensor.astype(float)
+    x, y = np.diff(points, axis=1)[:-1][inner], np.diff(points, axis=0)[:, :-1][inner]
+    for steps in (x, y):
+        np.testing.assert_allclose(np.linalg.norm(steps, axis=1) / bent.pitch_mm, 1, atol=0.03)
+    assert np.abs((x * y).sum(1)).max() / bent.pitch_mm**2 < 0.03
+
+
+def test_a_place_of_the_picture_is_located_with_its_frame(bent):
+    rows, columns = np.nonzero(bent.mask)
+    middle = np.array([columns.mean(), rows.mean()])
+    xy = middle + np.array([[0, 0], [10.3, -4.7], [-20.5, 8.25], [1e4, 3]])
+    angle = np.array([0.0, 1.2, -2.5, 0.3])
+    points, frames, pixels = bent.locate(xy, angle)
+    for found in (points, frames, pixels):
+        assert np.isnan(found[3]).all()
+        assert np.isfinite(found[:3]).all()
+    np.testing.assert_allclose(frames[:3].transpose(0, 2, 1) @ frames[:3], np.tile(np.eye(3), (3, 1, 1)), atol=1e-6)
+    assert (np.linalg.det(frames[:3]) > 0).all()
+    camera = sheets.quiet("a").camera
+    assert ((camera.center_sensor - points[:3]) * frames[:3, :, 2]).sum(1).min() > 0
+    np.testing.assert_allclose(camera.project(points[:3]), pixels[:3], atol=PIXEL_TOLERANCE)
+    step = 3.0
+    ahead, _, _ = bent.locate(xy + step * np.column_stack([np.cos(angle), np.sin(angle)]), angle)
+    moved = (ahead - points)[:3] / (step * bent.pitch_mm)
+    # Over 6 mm the sheet bends by less than a hundredth.
+    np.testing.assert_allclose(moved, frames[:3, :, 0], atol=0.03)
 
 
 def test_marks_on_the_part_keep_their_distance():
@@ -147,15 +166,13 @@ def test_marks_on_the_part_keep_their_distance():
 
 def test_the_picture_shows_the_texture_that_is_on_the_part(bent):
     """It correlates with the raster at the place its own metric coordinates name, and less one pixel beside it."""
-    rows, columns = np.nonzero(bent.mask)
-    chart = np.column_stack([columns * bent.pitch_mm, rows * bent.pitch_mm, bent.height_mm[rows, columns]])
-    points = transform_points(invert(bent.T_chart_sensor), chart)
+    points = bent.points_sensor[bent.mask].astype(float)
     truth = cv2.GaussianBlur(sheets.grain(), (0, 0), 6)
 
     def correlation(dx, dy):
         at = (points[:, :2] + [dx, dy] + synthetic.RASTER_MM) / synthetic.RASTER_PITCH_MM
         column, row = np.rint(at).astype(int).T
-        return np.corrcoef(truth[row, column], bent.value[rows, columns])[0, 1]
+        return np.corrcoef(truth[row, column], bent.value[bent.mask])[0, 1]
 
     here = correlation(0, 0)
     # The shading's low-pass takes the coarse part of the grain away.

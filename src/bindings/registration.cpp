@@ -11,6 +11,7 @@
 #include "core/joint.hpp"
 #include "core/joint_pull.hpp"
 #include "core/match.hpp"
+#include "core/patches.hpp"
 #include "core/surface.hpp"
 
 namespace {
@@ -27,22 +28,46 @@ nb::tuple fit_surface(const In<float, 3>& points, const In<double, 1>& camera, i
     return nb::make_tuple(smoothed.maps(), normals.maps(), tangents.maps());
 }
 
-nb::tuple rasterise_chart(const In<float, 3>& points, const In<float, 3>& normals, const In<double, 2>& T_chart_sensor,
-                          double pitch, double min_cosine, double max_edge, int height, int width) {
-    Owned<float> source(height, width, 2), z(height, width, 1);
+nb::tuple chart_coordinates(const In<float, 3>& points, const In<float, 3>& nodes, int step, double max_height,
+                            int threads) {
+    const auto image = view<float, 3>(points);
+    Owned<float> coordinates(image.height, image.width, 2);
+    planish::ChartExtent extent{};
     {
-        const Rigid T(T_chart_sensor);
         nb::gil_scoped_release release;
-        planish::rasterise_chart(view<float, 3>(points), view<float, 3>(normals), {T.R, T.t, pitch}, min_cosine,
-                                 max_edge, source.image, z.image);
+        extent = planish::chart_coordinates(image, view<float, 3>(nodes), step, max_height, coordinates.image, threads);
     }
-    return nb::make_tuple(source.maps(), z.map());
+    return nb::make_tuple(coordinates.maps(), nb::make_tuple(extent.left, extent.top, extent.right, extent.bottom));
 }
 
-/// Points (M, 3) and frames (M, 3, 3) of both sides of M matches.
+nb::tuple chart_surface(const In<float, 3>& source, const In<float, 3>& points, const In<float, 3>& normals,
+                        const In<float, 3>& nodes, int step, int threads) {
+    const auto raster = view<float, 3>(source);
+    Owned<float> on(raster.height, raster.width, 3), normal(raster.height, raster.width, 3),
+        axis(raster.height, raster.width, 3);
+    {
+        nb::gil_scoped_release release;
+        planish::chart_surface(raster, view<float, 3>(points), view<float, 3>(normals), view<float, 3>(nodes), step,
+                               {on.image, normal.image, axis.image}, threads);
+    }
+    return nb::make_tuple(on.maps(), normal.maps(), axis.maps());
+}
+
+Out<float, 3> rasterise_chart(const In<float, 3>& coordinates, double x, double y, double pitch, double max_edge,
+                              int height, int width) {
+    Owned<float> source(height, width, 2);
+    {
+        nb::gil_scoped_release release;
+        planish::rasterise_chart(view<float, 3>(coordinates), {x, y, pitch}, max_edge, source.image);
+    }
+    return source.maps();
+}
+
+/// Points (M, 3) and frames (M, 3, 3) of both sides of M matches. Returns transforms (K, 4, 4), best first, and their
+/// places and agreeing matches (K, 2).
 nb::tuple find_consensus(const In<double, 2>& points_a, const In<double, 2>& points_b, const In<double, 3>& frames_a,
                          const In<double, 3>& frames_b, double tolerance, double frame_angle, double normal_angle,
-                         double min_baseline, int seeds, int partners, int keep, int threads) {
+                         double distinct, int keep, int threads) {
     std::vector<planish::FramedMatch> matches(points_a.shape(0));
     for (std::size_t m = 0; m < matches.size(); ++m)
         for (int i = 0; i < 3; ++i) {
@@ -56,19 +81,19 @@ nb::tuple find_consensus(const In<double, 2>& points_a, const In<double, 2>& poi
     std::vector<planish::Hypothesis> found;
     {
         nb::gil_scoped_release release;
-        found = planish::find_consensus(matches, {tolerance, frame_angle, normal_angle, min_baseline, seeds, partners},
-                                        keep, threads);
+        found = planish::find_consensus(matches, {tolerance, frame_angle, normal_angle, distinct}, keep, threads);
     }
     const auto count = static_cast<int>(found.size());
     Owned<double> transforms(count, 4, 4);
-    Owned<std::int32_t> support(count, 1, 1);
+    Owned<std::int32_t> support(count, 2, 1);
     for (int h = 0; h < count; ++h) {
         for (int i = 0; i < 4; ++i)
             for (int j = 0; j < 4; ++j)
                 transforms.image.at(h, i)[j] = i == 3   ? (j == 3 ? 1.0 : 0.0)
                                                : j == 3 ? found[h].t_a_b[i]
                                                         : found[h].R_a_b(i, j);
-        *support.image.at(h, 0) = found[h].support;
+        *support.image.at(h, 0) = found[h].places;
+        *support.image.at(h, 1) = found[h].support;
     }
     return nb::make_tuple(transforms.maps(), support.map());
 }
@@ -106,7 +131,8 @@ planish::JointOptions joint_options(const nb::tuple& options) {
 }
 
 /// Maps a, camera a, maps b: see planish::JointMaps. Returns normal equations of distance and texture, the unbiased
-/// information of both, correlation, number of conflicts, tile gradients (rows, columns, 6) and, if asked for, the
+/// information of both, correlation, number of conflicts, tile gradients (rows, columns, 6 of the
+/// distance and 6 of the texture) and, if asked for, the
 /// residual maps.
 nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
                                  const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
@@ -125,9 +151,9 @@ nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& c
                                                  with_residuals ? distances.image : none,
                                                  with_residuals ? differences.image : none);
     }
-    Owned<double> tiles(result.tile_rows, result.tile_columns, 6);
+    Owned<double> tiles(result.tile_rows, result.tile_columns, 12);
     for (std::size_t i = 0; i < result.tile_gradients.size(); ++i)
-        std::copy_n(result.tile_gradients[i].data(), 6, tiles.image.data + 6 * i);
+        std::copy_n(result.tile_gradients[i].data(), 12, tiles.image.data + 12 * i);
     const auto& s = result.sums;
     const double norm = std::sqrt(s.correlation_aa * s.correlation_bb);
     return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_distance_unbiased),
@@ -168,24 +194,67 @@ Out<float, 3> tangential_gradient(const In<float, 2>& texture, const In<float, 3
     return gradient.maps();
 }
 
-/// Per row of a: nearest row of b (-1 = none), its squared distance, that of the second (INT32_MAX = none), as (N, 3).
-Out<std::int32_t, 2> nearest_descriptors(const In<std::uint8_t, 2>& a, const In<double, 1>& size_a,
-                                         const In<std::uint8_t, 2>& b, const In<double, 1>& size_b,
-                                         double max_size_ratio, int threads) {
+Out<std::int32_t, 2> nearest_rows(const std::vector<planish::Nearest>& found) {
+    Owned<std::int32_t> out(static_cast<int>(found.size()), 3, 1);
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        std::int32_t* row = out.image.row(static_cast<int>(i));
+        row[0] = found[i].best;
+        row[1] = found[i].best_squared;
+        row[2] = found[i].second_squared;
+    }
+    return out.map();
+}
+
+/// Per row of a: nearest row of b (-1 = none), its squared distance, that of the second (INT32_MAX = none), as (N, 3);
+/// and the same per row of b.
+nb::tuple nearest_descriptors(const In<std::uint8_t, 2>& a, const In<double, 1>& size_a, const In<std::uint8_t, 2>& b,
+                              const In<double, 1>& size_b, double max_size_ratio, int threads) {
     const auto wrap = [](const In<std::uint8_t, 2>& d, const In<double, 1>& size) {
         return planish::Descriptors{{d.data(), d.size()}, {size.data(), size.size()}, d.shape(1)};
     };
-    planish::Nearest found;
+    planish::BothNearest found;
     {
         nb::gil_scoped_release release;
         found = planish::nearest_descriptors(wrap(a, size_a), wrap(b, size_b), max_size_ratio, threads);
     }
-    Owned<std::int32_t> out(static_cast<int>(found.best.size()), 3, 1);
-    for (std::size_t i = 0; i < found.best.size(); ++i) {
-        std::int32_t* row = out.image.row(static_cast<int>(i));
-        row[0] = found.best[i];
-        row[1] = found.best_squared[i];
-        row[2] = found.second_squared[i];
+    return nb::make_tuple(nearest_rows(found.of_a), nearest_rows(found.of_b));
+}
+
+std::vector<planish::Image<const float>> chart_views(const nb::list& charts) {
+    std::vector<planish::Image<const float>> out;
+    for (const auto& chart : charts) out.push_back(view<float, 2>(nb::cast<In<float, 2>>(chart)));
+    return out;
+}
+
+/// Places (N, 6) [u, v, axes row by row] and their charts (N,).
+std::vector<planish::PatchPlace> patch_places(const In<double, 2>& places, const In<std::int32_t, 1>& charts) {
+    std::vector<planish::PatchPlace> out(places.shape(0));
+    for (std::size_t i = 0; i < out.size(); ++i)
+        out[i] = {charts(i), places(i, 0), places(i, 1), {places(i, 2), places(i, 3), places(i, 4), places(i, 5)}};
+    return out;
+}
+
+/// Per pair (M, 2) of places: correlation, offset x and y, turn, compared pixels, as (M, 5). See
+/// planish::align_patches.
+Out<double, 2> align_patches(const nb::list& charts_a, const In<double, 2>& places_a,
+                             const In<std::int32_t, 1>& chart_a, const nb::list& charts_b,
+                             const In<double, 2>& places_b, const In<std::int32_t, 1>& chart_b,
+                             const In<std::int32_t, 2>& pairs, int radius, int reach, int turns, double turn_step,
+                             int threads) {
+    const auto views_a = chart_views(charts_a), views_b = chart_views(charts_b);
+    const auto at_a = patch_places(places_a, chart_a), at_b = patch_places(places_b, chart_b);
+    std::vector<planish::PatchPair> asked(pairs.shape(0));
+    for (std::size_t i = 0; i < asked.size(); ++i) asked[i] = {pairs(i, 0), pairs(i, 1)};
+    std::vector<planish::PatchAlignment> found;
+    {
+        nb::gil_scoped_release release;
+        found = planish::align_patches(views_a, views_b, at_a, at_b, asked, {radius, reach, turns, turn_step}, threads);
+    }
+    Owned<double> out(static_cast<int>(found.size()), 5, 1);
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        const auto& f = found[i];
+        const double row[5] = {f.correlation, f.x, f.y, f.turn, static_cast<double>(f.pixels)};
+        std::copy_n(row, 5, out.image.row(static_cast<int>(i)));
     }
     return out.map();
 }
@@ -196,11 +265,15 @@ void bind_registration(nb::module_& m) {
     m.def("tangential_gradient", &tangential_gradient, "texture"_a, "tangents"_a, "threads"_a);
     m.def("nearest_descriptors", &nearest_descriptors, "a"_a, "size_a"_a, "b"_a, "size_b"_a, "max_size_ratio"_a,
           "threads"_a);
+    m.def("align_patches", &align_patches, "charts_a"_a, "places_a"_a, "chart_a"_a, "charts_b"_a, "places_b"_a,
+          "chart_b"_a, "pairs"_a, "radius"_a, "reach"_a, "turns"_a, "turn_step"_a, "threads"_a);
     m.def("fit_surface", &fit_surface, "points"_a, "camera"_a, "radius"_a, "max_slope"_a, "threads"_a);
-    m.def("rasterise_chart", &rasterise_chart, "points"_a, "normals"_a, "T_chart_sensor"_a, "pitch"_a, "min_cosine"_a,
-          "max_edge"_a, "height"_a, "width"_a);
+    m.def("chart_coordinates", &chart_coordinates, "points"_a, "nodes"_a, "step"_a, "max_height"_a, "threads"_a);
+    m.def("rasterise_chart", &rasterise_chart, "coordinates"_a, "x"_a, "y"_a, "pitch"_a, "max_edge"_a, "height"_a,
+          "width"_a);
+    m.def("chart_surface", &chart_surface, "source"_a, "points"_a, "normals"_a, "nodes"_a, "step"_a, "threads"_a);
     m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
-          "frame_angle"_a, "normal_angle"_a, "min_baseline"_a, "seeds"_a, "partners"_a, "keep"_a, "threads"_a);
+          "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
           "options"_a, "with_residuals"_a, "threads"_a);
     m.def("joint_pull", &joint_pull, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a, "options"_a,

@@ -1,85 +1,173 @@
 #include "core/chart.hpp"
 
+#include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <vector>
 
+#include "core/parallel.hpp"
+
 namespace planish {
 namespace {
 
+/// Share of a node that all four around a pixel get, however far: a pixel beside a missing node keeps the others.
+constexpr float least_weight = 1e-3F;
+
+/// The two nodes around a pixel along one axis, and the weight of the second.
+struct Between {
+    int first, second;
+    float weight;
+};
+
+Between between(float pixel, int step, int count) {
+    const float at = (pixel - static_cast<float>(step / 2)) / static_cast<float>(step);
+    const int first = std::clamp(static_cast<int>(std::floor(at)), 0, count - 1);
+    return {first, std::min(first + 1, count - 1), std::clamp(at - static_cast<float>(first), 0.0F, 1.0F)};
+}
+
+/// Weighted sum of the first n values of the four nodes around a pixel; the first is the sum of the weights.
+template <int n>
+std::array<float, n> blend(const Image<const float>& nodes, const Between& row, const Between& column) {
+    std::array<float, n> sum{};
+    const auto add = [&](int r, int c, float weight) {
+        const float* node = nodes.at(r, c);
+        for (int i = 0; i < n; ++i) sum[i] += (weight + least_weight) * node[i];
+    };
+    add(row.first, column.first, (1 - row.weight) * (1 - column.weight));
+    add(row.first, column.second, (1 - row.weight) * column.weight);
+    add(row.second, column.first, row.weight * (1 - column.weight));
+    add(row.second, column.second, row.weight * column.weight);
+    return sum;
+}
+
+void grow(ChartExtent& extent, const ChartExtent& by) {
+    extent.left = std::min(extent.left, by.left);
+    extent.top = std::min(extent.top, by.top);
+    extent.right = std::max(extent.right, by.right);
+    extent.bottom = std::max(extent.bottom, by.bottom);
+}
+
+/// Linear interpolation of a map (H, W, 3); the place lies within it.
+Eigen::Vector3f bilinear(const Image<const float>& map, float u, float v) {
+    const int column = std::clamp(static_cast<int>(u), 0, std::max(0, map.width - 2));
+    const int row = std::clamp(static_cast<int>(v), 0, std::max(0, map.height - 2));
+    const float fu = u - static_cast<float>(column), fv = v - static_cast<float>(row);
+    const auto at = [&](int r, int c) { return Eigen::Map<const Eigen::Vector3f>(map.at(r, c)); };
+    return (1 - fv) * ((1 - fu) * at(row, column) + fu * at(row, column + 1)) +
+           fv * ((1 - fu) * at(row + 1, column) + fu * at(row + 1, column + 1));
+}
+
 struct Corner {
-    float x, y, z;  // chart pixels, chart pixels, millimetres
-    float u, v;     // camera pixels
+    float x, y;  // raster pixels
+    float u, v;  // camera pixels
 };
 
-class Rasteriser {
-  public:
-    Rasteriser(const Image<float>& source, const Image<float>& height) : source_(source), height_(height) {}
-
-    void triangle(const Corner& a, const Corner& b, const Corner& c) const {
-        const float area = (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y);
-        if (!(std::fabs(area) > 1e-9F)) return;
-        const int x0 = std::max(0, static_cast<int>(std::ceil(std::min({a.x, b.x, c.x}))));
-        const int x1 = std::min(height_.width - 1, static_cast<int>(std::floor(std::max({a.x, b.x, c.x}))));
-        const int y0 = std::max(0, static_cast<int>(std::ceil(std::min({a.y, b.y, c.y}))));
-        const int y1 = std::min(height_.height - 1, static_cast<int>(std::floor(std::max({a.y, b.y, c.y}))));
-        for (int y = y0; y <= y1; ++y)
-            for (int x = x0; x <= x1; ++x) {
-                const auto fx = static_cast<float>(x), fy = static_cast<float>(y);
-                const float wb = ((fx - a.x) * (c.y - a.y) - (c.x - a.x) * (fy - a.y)) / area;
-                const float wc = ((b.x - a.x) * (fy - a.y) - (fx - a.x) * (b.y - a.y)) / area;
-                const float wa = 1.0F - wb - wc;
-                // Slightly generous, so that no pixel falls into the crack between two triangles.
-                if (wa < -1e-4F || wb < -1e-4F || wc < -1e-4F) continue;
-                const float z = wa * a.z + wb * b.z + wc * c.z;
-                float& old = *height_.at(y, x);
-                if (z >= old) continue;  // false for NaN: an empty pixel takes everything
-                old = z;
-                source_.at(y, x)[0] = wa * a.u + wb * b.u + wc * c.u;
-                source_.at(y, x)[1] = wa * a.v + wb * b.v + wc * c.v;
-            }
-    }
-
-  private:
-    Image<float> source_, height_;
-};
+/// Fills the pixels of `source` inside a triangle that are still empty.
+void fill(const Image<float>& source, const Corner& a, const Corner& b, const Corner& c) {
+    const float area = (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y);
+    if (!(std::fabs(area) > 1e-9F)) return;
+    const int x0 = std::max(0, static_cast<int>(std::ceil(std::min({a.x, b.x, c.x}))));
+    const int x1 = std::min(source.width - 1, static_cast<int>(std::floor(std::max({a.x, b.x, c.x}))));
+    const int y0 = std::max(0, static_cast<int>(std::ceil(std::min({a.y, b.y, c.y}))));
+    const int y1 = std::min(source.height - 1, static_cast<int>(std::floor(std::max({a.y, b.y, c.y}))));
+    for (int y = y0; y <= y1; ++y)
+        for (int x = x0; x <= x1; ++x) {
+            const auto fx = static_cast<float>(x), fy = static_cast<float>(y);
+            const float wb = ((fx - a.x) * (c.y - a.y) - (c.x - a.x) * (fy - a.y)) / area;
+            const float wc = ((b.x - a.x) * (fy - a.y) - (fx - a.x) * (b.y - a.y)) / area;
+            const float wa = 1.0F - wb - wc;
+            // Slightly generous, so that no pixel falls into the crack between two triangles.
+            if (wa < -1e-4F || wb < -1e-4F || wc < -1e-4F) continue;
+            float* out = source.at(y, x);
+            if (!std::isnan(out[0])) continue;
+            out[0] = wa * a.u + wb * b.u + wc * c.u;
+            out[1] = wa * a.v + wb * b.v + wc * c.v;
+        }
+}
 
 }  // namespace
 
-void rasterise_chart(const Image<const float>& points, const Image<const float>& normals, const ChartFrame& frame,
-                     double min_cosine, double max_edge, const Image<float>& source, const Image<float>& height) {
-    constexpr float nan = std::numeric_limits<float>::quiet_NaN();
-    std::fill_n(source.data, source.pixels() * 2, nan);
-    std::fill_n(height.data, height.pixels(), nan);
-    const Eigen::Vector3d axis = -frame.R_chart_sensor.row(2);  // normals point against the chart's z
-    std::vector<Corner> above(points.width), below(points.width);
-    const auto fill = [&](int v, std::vector<Corner>& line) {
-        for (int u = 0; u < points.width; ++u) {
-            const float* p = points.at(v, u);
-            const float* n = normals.at(v, u);
-            const bool faces = n[0] * axis[0] + n[1] * axis[1] + n[2] * axis[2] >= min_cosine;
-            const Eigen::Vector3d x = frame.R_chart_sensor * Eigen::Vector3d(p[0], p[1], p[2]) + frame.t_chart_sensor;
-            line[u] = {faces ? static_cast<float>(x[0] / frame.pitch) : nan, static_cast<float>(x[1] / frame.pitch),
-                       static_cast<float>(x[2]), static_cast<float>(u), static_cast<float>(v)};
+ChartExtent chart_coordinates(const Image<const float>& points, const Image<const float>& nodes, int step,
+                              double max_height, const Image<float>& coordinates, int threads) {
+    constexpr float nan = std::numeric_limits<float>::quiet_NaN(), far = std::numeric_limits<float>::infinity();
+    std::vector<Between> columns(points.width);
+    for (int u = 0; u < points.width; ++u) columns[u] = between(static_cast<float>(u), step, nodes.width);
+    std::vector<ChartExtent> extents(points.height, {far, far, -far, -far});
+    parallel_for(points.height, threads, [&](std::size_t first, std::size_t last) {
+        for (int v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
+            const Between row = between(static_cast<float>(v), step, nodes.height);
+            ChartExtent& extent = extents[v];
+            for (int u = 0; u < points.width; ++u) {
+                const float* p = points.at(v, u);
+                float* out = coordinates.at(v, u);
+                const auto sum = blend<13>(nodes, row, columns[u]);
+                std::array<float, 3> at;
+                for (int i = 0; i < 3; ++i)
+                    at[i] =
+                        (sum[1 + 3 * i] * p[0] + sum[2 + 3 * i] * p[1] + sum[3 + 3 * i] * p[2] + sum[10 + i]) / sum[0];
+                const bool ours = std::fabs(at[2]) <= max_height;  // false for NaN
+                out[0] = ours ? at[0] : nan;
+                out[1] = ours ? at[1] : nan;
+                if (ours) grow(extent, {at[0], at[1], at[0], at[1]});
+            }
+        }
+    });
+    for (const auto& extent : extents) grow(extents[0], extent);
+    return extents[0];
+}
+
+void rasterise_chart(const Image<const float>& coordinates, const ChartRaster& raster, double max_edge,
+                     const Image<float>& source) {
+    std::fill_n(source.data, source.pixels() * 2, std::numeric_limits<float>::quiet_NaN());
+    std::vector<Corner> above(coordinates.width), below(coordinates.width);
+    const auto read = [&](int v, std::vector<Corner>& line) {
+        for (int u = 0; u < coordinates.width; ++u) {
+            const float* p = coordinates.at(v, u);
+            line[u] = {static_cast<float>((p[0] - raster.x) / raster.pitch),
+                       static_cast<float>((p[1] - raster.y) / raster.pitch), static_cast<float>(u),
+                       static_cast<float>(v)};
         }
     };
-    const Rasteriser raster(source, height);
-    const auto limit = static_cast<float>(max_edge / frame.pitch);
+    const auto limit = static_cast<float>(max_edge / raster.pitch);
     const auto near = [&](const Corner& a, const Corner& b) {  // false for NaN
         return std::fabs(a.x - b.x) <= limit && std::fabs(a.y - b.y) <= limit;
     };
-    fill(0, above);
-    for (int v = 1; v < points.height; ++v) {
-        fill(v, below);
-        for (int u = 0; u + 1 < points.width; ++u) {
+    read(0, above);
+    for (int v = 1; v < coordinates.height; ++v) {
+        read(v, below);
+        for (int u = 0; u + 1 < coordinates.width; ++u) {
             const Corner &a = above[u], &b = above[u + 1], &c = below[u], &d = below[u + 1];
             if (!near(b, c)) continue;
-            if (near(a, b) && near(a, c)) raster.triangle(a, b, c);
-            if (near(d, b) && near(d, c)) raster.triangle(d, c, b);
+            if (near(a, b) && near(a, c)) fill(source, a, b, c);
+            if (near(d, b) && near(d, c)) fill(source, d, c, b);
         }
         std::swap(above, below);
     }
+}
+
+void chart_surface(const Image<const float>& source, const Image<const float>& points,
+                   const Image<const float>& normals, const Image<const float>& nodes, int step,
+                   const ChartSurface& out, int threads) {
+    constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+    parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {
+        for (int y = static_cast<int>(first); y < static_cast<int>(last); ++y)
+            for (int x = 0; x < source.width; ++x) {
+                const float *at = source.at(y, x), u = at[0], v = at[1];
+                Eigen::Map<Eigen::Vector3f> point(out.points.at(y, x)), normal(out.normals.at(y, x)),
+                    axis(out.x_axis.at(y, x));
+                if (std::isnan(u)) {
+                    for (auto* vector : {&point, &normal, &axis}) vector->setConstant(nan);
+                    continue;
+                }
+                point = bilinear(points, u, v);
+                normal = bilinear(normals, u, v).normalized();
+                const auto sum = blend<4>(nodes, between(v, step, nodes.height), between(u, step, nodes.width));
+                axis = Eigen::Vector3f(sum[1], sum[2], sum[3]);
+                axis = (axis - axis.dot(normal) * normal).normalized();
+            }
+    });
 }
 
 }  // namespace planish

@@ -15,31 +15,27 @@ struct FramedMatch {
 
 struct ConsensusOptions {
     double tolerance;     ///< distance within which a match agrees with a transform [mm]
-    double frame_angle;   ///< error of a single keypoint's orientation [rad]
-    double normal_angle;  ///< error of a normal [rad]
-    double min_baseline;  ///< shortest distance of two matches that make a hypothesis [mm]
-    int seeds;            ///< matches with the most support that are tried as first of a pair
-    int partners;         ///< and as second
+    double frame_angle;   ///< largest error of the rotation that a match's orientations give [rad]
+    double normal_angle;  ///< largest error of the rotation that its normals give [rad]
+    double distinct;      ///< matches in one cell of this size are one place [mm]
 };
 
 struct Hypothesis {
     Eigen::Matrix3d R_a_b;
     Eigen::Vector3d t_a_b;
-    int support = 0;  ///< matches within the tolerance
+    int places = 0;   ///< cells of a that hold an agreeing match
+    int support = 0;  ///< agreeing matches
 };
 
-/// Transforms that many matches agree on, best first, no two of them alike.
+/// Transforms that the most places agree on, best first, no two of them alike.
 ///
-/// Concept: every match alone fixes a transform through its frames, exact in position and good to `frame_angle` in
-/// rotation. (1) Support: for every match count the others that keep their distance, direction and normals under its
-/// transform. (2) Hypotheses: two supporting matches and their normals fix the transform to the accuracy of their
-/// distance. (3) Refinement: rigid fit to all matches within the tolerance, until they no longer change. Exhaustive up
-/// to `seeds` and `partners`; no random numbers.
+/// Concept: a match alone fixes the transform through its frames but for a small turn about its normal, which its
+/// orientations leave open, and a small tilt. (1) Voting: every match is asked in turn. Each other match that keeps
+/// distance, height and normal says within which turns it would agree; the turn that the most places share follows from
+/// sorting the ends of these intervals. This is exhaustive: matches x matches, nothing is drawn, nothing left out. (2)
+/// Refinement, most promising first: a robust rigid fit to those that voted for the turn, then to all that agree, until
+/// they no longer change. A match that already belongs to a transform at least as good as it promised is passed over.
 std::vector<Hypothesis> find_consensus(std::span<const FramedMatch> matches, const ConsensusOptions& options, int keep,
                                        int threads);
-
-/// Whether a match agrees with a transform in position and normal.
-bool agrees(const FramedMatch& match, const Eigen::Matrix3d& R, const Eigen::Vector3d& t, double tolerance,
-            double min_normal_cosine);
 
 }  // namespace planish

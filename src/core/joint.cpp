@@ -36,12 +36,12 @@ struct Problem {
     JointOptions o;
     Image<float> distances, differences;
 
-    void pixel(int v, int u, JointSums& sums, Vector6& tile) const;
+    void pixel(int v, int u, JointSums& sums, Matrix62& tile) const;
     void add_texture(int v, int u, const Eigen::Vector2d& at, const Cell& cell, const Eigen::Vector3d& x,
-                     JointSums& sums, Vector6& tile) const;
+                     JointSums& sums, Matrix62& tile) const;
 };
 
-void Problem::pixel(int v, int u, JointSums& sums, Vector6& tile) const {
+void Problem::pixel(int v, int u, JointSums& sums, Matrix62& tile) const {
     Meeting m;
     if (!meet(a, b, camera, R, t, o, v, u, m)) return;
     if (m.conflict) {
@@ -59,7 +59,7 @@ void Problem::pixel(int v, int u, JointSums& sums, Vector6& tile) const {
     sums.H_distance_unbiased.noalias() += 0.5 * w * (J_a * J_b.transpose() + J_b * J_a.transpose());
     const Vector6 g = w * distance * J;
     sums.distance.g += g;
-    tile += g;
+    tile.col(0) += g;
     sums.distance.cost += w * distance * distance;
     ++sums.distance.count;
     if (!distances.empty()) *distances.at(v, u) = static_cast<float>(distance);
@@ -67,7 +67,7 @@ void Problem::pixel(int v, int u, JointSums& sums, Vector6& tile) const {
 }
 
 void Problem::add_texture(int v, int u, const Eigen::Vector2d& at, const Cell& cell, const Eigen::Vector3d& x,
-                          JointSums& sums, Vector6& tile) const {
+                          JointSums& sums, Matrix62& tile) const {
     const double value_b = *b.texture.at(v, u);
     const double value_a = cubic(a.texture, at.x(), at.y());
     const Eigen::Vector3d gradient_a = cell.vector(a.gradient);
@@ -87,7 +87,7 @@ void Problem::add_texture(int v, int u, const Eigen::Vector2d& at, const Cell& c
     sums.H_texture_unbiased.noalias() += 0.5 * w * (J_a * J_b.transpose() + J_b * J_a.transpose());
     const Vector6 g = w * r * J;
     sums.texture.g += g;
-    tile += g;
+    tile.col(1) += g;
     sums.texture.cost += w * r * r;
     ++sums.texture.count;
     if (w > 0) {
@@ -112,7 +112,7 @@ JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, c
     JointResult result;
     result.tile_rows = (height + options.tile - 1) / options.tile;
     result.tile_columns = (width + options.tile - 1) / options.tile;
-    result.tile_gradients.assign(static_cast<std::size_t>(result.tile_rows) * result.tile_columns, Vector6::Zero());
+    result.tile_gradients.assign(static_cast<std::size_t>(result.tile_rows) * result.tile_columns, Matrix62::Zero());
     // One block = one row of tiles: its tile sums belong to it alone, and the order of additions is fixed.
     result.sums = parallel_sum<JointSums>(result.tile_rows, 1, threads, [&](std::size_t row, std::size_t) {
         JointSums sums;

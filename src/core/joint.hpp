@@ -11,6 +11,7 @@ namespace planish {
 
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 using Vector6 = Eigen::Matrix<double, 6, 1>;
+using Matrix62 = Eigen::Matrix<double, 6, 2>;
 
 /// What the joint refinement needs of one measurement, on its organising camera's pixel grid (all maps of one size).
 struct JointMaps {
@@ -54,8 +55,8 @@ struct JointSums {
 
 struct JointResult {
     JointSums sums;
-    std::vector<Vector6>
-        tile_gradients;  ///< J'Wr of both kinds per tile of b, row by row, for the clustered covariance
+    /// J'Wr of distance and texture (columns) per tile of b, row by row, for the clustered covariance.
+    std::vector<Matrix62> tile_gradients;
     int tile_rows = 0, tile_columns = 0;
 };
 

@@ -19,17 +19,30 @@ def fit_surface(points: F32, camera: F64, radius: int, max_slope: float, threads
 def tangential_gradient(texture: F32, tangents: F32, threads: int) -> F32: ...
 def nearest_descriptors(
     a: U8, size_a: F64, b: U8, size_b: F64, max_size_ratio: float, threads: int
-) -> NDArray[np.int32]: ...
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]: ...
+def align_patches(
+    charts_a: list[F32],
+    places_a: F64,
+    chart_a: NDArray[np.int32],
+    charts_b: list[F32],
+    places_b: F64,
+    chart_b: NDArray[np.int32],
+    pairs: NDArray[np.int32],
+    radius: int,
+    reach: int,
+    turns: int,
+    turn_step: float,
+    threads: int,
+) -> F64: ...
+def chart_coordinates(
+    points: F32, nodes: F32, step: int, max_height: float, threads: int
+) -> tuple[F32, tuple[float, float, float, float]]: ...
 def rasterise_chart(
-    points: F32,
-    normals: F32,
-    T_chart_sensor: F64,
-    pitch: float,
-    min_cosine: float,
-    max_edge: float,
-    height: int,
-    width: int,
-) -> tuple[F32, F32]: ...
+    coordinates: F32, x: float, y: float, pitch: float, max_edge: float, height: int, width: int
+) -> F32: ...
+def chart_surface(
+    source: F32, points: F32, normals: F32, nodes: F32, step: int, threads: int
+) -> tuple[F32, F32, F32]: ...
 def find_consensus(
     points_a: F64,
     points_b: F64,
@@ -38,9 +51,7 @@ def find_consensus(
     tolerance: float,
     frame_angle: float,
     normal_angle: float,
-    min_baseline: float,
-    seeds: int,
-    partners: int,
+    distinct: float,
     keep: int,
     threads: int,
 ) -> tuple[F64, NDArray[np.int32]]: ...

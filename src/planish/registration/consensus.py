@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,7 +11,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from planish import _core
-from planish.geometry import Array, fit_rigid, rotation_angle, transform_points
+from planish.geometry import Array, rotation_angle, transform_points
 from planish.options import Options, thread_count
 from planish.registration.matches import Matches
 
@@ -20,17 +21,14 @@ class ConsensusOptions(Options):
 
     #: Distance within which a match agrees with a transform [mm].
     tolerance_mm: float = Field(default=1.0, gt=0)
-    #: Error of a keypoint's orientation [rad].
-    frame_angle_rad: float = Field(default=0.35, gt=0, lt=1.5)
-    #: Error of a keypoint's normal [rad].
-    normal_angle_rad: float = Field(default=0.2, gt=0, lt=1.5)
-    #: Shortest distance of two matches that make a hypothesis [mm].
-    min_baseline_mm: float = Field(default=12.0, gt=0)
-    #: Best supported matches tried as first of a pair, and partners tried for each.
-    seeds: int = Field(default=250, ge=1)
-    partners: int = Field(default=40, ge=1)
+    #: Largest error of the rotation that a match's orientations give [rad].
+    frame_angle_rad: float = Field(default=0.12, gt=0, lt=1.5)
+    #: Largest error of the rotation that its normals give [rad].
+    normal_angle_rad: float = Field(default=0.12, gt=0, lt=0.75)
     #: Matches nearer than this are one place when a consensus is counted [mm].
     distinct_mm: float = Field(default=2.0, gt=0)
+    #: Most transforms reported.
+    max_candidates: int = Field(default=3, ge=1, le=10)
 
 
 @dataclass(frozen=True)
@@ -54,12 +52,12 @@ class Candidate:
 
 @dataclass(frozen=True)
 class CoarseResult:
-    """Candidates of one pair, best first; the second is the best that contradicts the first.
+    """Candidates of one pair, best first; each is the best that contradicts those before it.
 
     Parameters
     ----------
     candidates : tuple of Candidate
-        None, one or two.
+        None to `max_candidates`.
     chance : float
         Probability that a match that has nothing to do with a transform agrees with it all the same.
     places : int
@@ -88,35 +86,41 @@ def find_consensus(
     points_a, points_b = matches.points_a, matches.points_b
     chance = _chance(points_a[use], options) if chance is None else chance
     places = count_places(points_a[use], options.distinct_mm)
-    first = _best(matches, use, options, thread_count(threads))
-    if first is None:
-        return CoarseResult((), chance, places, options)
-    # What contradicts the best must live without the matches that lie anywhere near it.
-    near = np.linalg.norm(points_a - transform_points(first.T_a_b, points_b), axis=1) < 3 * options.tolerance_mm
-    second = _best(matches, use[~near[use]], options, thread_count(threads))
-    if second is not None and _alike(first.T_a_b, second.T_a_b, points_b[use], options):
-        second = None
-    return CoarseResult((first,) if second is None else (first, second), chance, places, options)
+    candidates: list[Candidate] = []
+    while len(candidates) < options.max_candidates:
+        found = _best(matches, use, candidates, options, thread_count(threads))
+        if found is None:
+            break
+        candidates.append(found)
+        # What contradicts the best must live without the matches that lie anywhere near it.
+        near = np.linalg.norm(points_a - transform_points(found.T_a_b, points_b), axis=1) < 3 * options.tolerance_mm
+        use = use[~near[use]]
+    return CoarseResult(tuple(candidates), chance, places, options)
 
 
-def _best(matches: Matches, use: NDArray[np.int64], options: ConsensusOptions, threads: int) -> Candidate | None:
+#: Transforms that the core returns, by its count of cells; the places are counted here.
+_KEPT = 5
+
+
+def _best(
+    matches: Matches, use: NDArray[np.int64], known: Sequence[Candidate], options: ConsensusOptions, threads: int
+) -> Candidate | None:
+    """Return the transform of the most places among the matches `use` that none of the known ones is like."""
     if len(use) < 3:
         return None
     asked = matches.take(use)
     points_a, points_b, frames_a, frames_b = asked.points_a, asked.points_b, asked.frames_a, asked.frames_b
     transforms, _ = _core.find_consensus(
         points_a, points_b, frames_a, frames_b, options.tolerance_mm, options.frame_angle_rad, options.normal_angle_rad,
-        options.min_baseline_mm, options.seeds, options.partners, 5, threads,
+        options.distinct_mm, _KEPT, threads,
     )  # fmt: skip
     best: Candidate | None = None
     for T in transforms:
         members = _members(T, points_a, points_b, frames_a, frames_b, options)
-        if len(members) < 3:
-            continue
-        T = fit_rigid(points_a[members], points_b[members])
-        members = _members(T, points_a, points_b, frames_a, frames_b, options)
         places = count_places(points_a[members], options.distinct_mm)
-        if places >= 3 and (best is None or places > best.places):
+        if places < 3 or (best is not None and places <= best.places):
+            continue
+        if not any(_alike(other.T_a_b, T, points_b, options) for other in known):
             best = Candidate(T, use[members], places)
     return best
 

@@ -15,7 +15,9 @@ from planish.registration.consensus import CoarseResult, ConsensusOptions, find_
 from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows, prepare_dense, signal_to_noise
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
-from planish.registration.match.descriptors import MatchOptions, match
+from planish.registration.match.matching import MatchOptions, match
+from planish.registration.match.patches import PatchSide
+from planish.registration.match.whitening import PatchImage, patch_images
 from planish.registration.matches import Matches
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
@@ -55,6 +57,7 @@ class Prepared:
     surface: Surface
     contrast: tuple[Map, Map]
     images: tuple[TextureImage, ...]
+    patches: tuple[PatchImage, ...]
     keypoints: Keypoints
     #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
     sides: Mapping[float, JointSide]
@@ -106,13 +109,14 @@ def prepare(
     options = options or PairOptions()
     surface = fit_surface(measurement, options.surface, threads)
     contrast = local_contrast(measurement, options.photometric, surface, threads)
-    images = texture_images(measurement, surface, contrast, pitch_mm, options.charts)
+    images = texture_images(measurement, surface, contrast, pitch_mm, options.charts, threads)
     keypoints = detect_keypoints(images, options.keypoints)
     kept = ~held_out_pixels(measurement)
     sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
     fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
     dense_pitch = options.dense.pitch_factor * pitch_mm
-    return Prepared(measurement, surface, contrast, images, keypoints, sides, fit_sides, dense_pitch)
+    patches = patch_images(images)
+    return Prepared(measurement, surface, contrast, images, patches, keypoints, sides, fit_sides, dense_pitch)
 
 
 def register_pair(
@@ -120,7 +124,7 @@ def register_pair(
 ) -> PairResult:
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
     options = options or PairOptions()
-    matches = match(a.keypoints, b.keypoints, options.match, threads)
+    matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse, still_share = _moving_consensus(a, b, matches, options, threads)
     tried: float = pairs_in_run
     if _alarms(coarse, tried) > options.verdict.max_log10_false_alarms and _asks_for_windows(a, b, options.dense):
@@ -148,6 +152,10 @@ def register_pair(
     if best is None or judgement.status != "accepted":
         return result
     return _refined_result(a, b, best.T_a_b, matches.take(best.members), result, options, threads)
+
+
+def _patch_side(side: Prepared) -> PatchSide:
+    return PatchSide(side.keypoints, side.images, side.patches)
 
 
 def _alarms(coarse: CoarseResult, tried: float) -> float:

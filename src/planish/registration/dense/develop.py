@@ -120,15 +120,10 @@ _NOISE_KEY = 5
 def _rasterised(
     flat: Map, score: Map, noise: Map, known: NDArray[np.bool_], pitch_mm: float, gsd: float
 ) -> Development:
-    least = np.nanmin(flat, axis=(0, 1))
-    points = np.dstack([flat - least, np.zeros(flat.shape[:2], np.float32)]).astype(np.float32)
-    facing = np.where(np.isfinite(flat[..., :1]), np.array([0, 0, -1], np.float32), np.float32(np.nan))
+    flat = flat - np.nanmin(flat, axis=(0, 1))
     # Drawn twice as fine and averaged, so that what the pitch cannot hold does not fold back.
-    fine = pitch_mm / 2
-    width, height = (2 * (int(n / pitch_mm) + 1) for n in np.nanmax(points, axis=(0, 1))[:2])
-    source, _ = _core.rasterise_chart(
-        points, facing.astype(np.float32), np.eye(4), fine, 0.5, _MAX_EDGE_GSD * gsd, height, width
-    )
+    width, height = (2 * (int(n / pitch_mm) + 1) for n in np.nanmax(flat, axis=(0, 1)))
+    source = _core.rasterise_chart(flat, 0.0, 0.0, pitch_mm / 2, _MAX_EDGE_GSD * gsd, height, width)
     u, v = (np.nan_to_num(source[..., i], nan=-1e4) for i in (0, 1))
 
     def drawn(image: Map) -> Map:

@@ -28,7 +28,7 @@ class DenseOptions(Options):
     enabled: bool = True
     #: Pixel of the correlated texture in pixels of the texture images.
     pitch_factor: float = Field(default=2.0, ge=1, le=10)
-    #: Only texture whose standard deviation is below twice that of its noise (ratio of variances): keypoints find the rest.
+    #: Only texture whose variance is below this many times that of its noise: keypoints find the rest.
     max_signal_to_noise: float = Field(default=4.0, ge=0)
     #: Distance from a common placement within which each window is sought [mm].
     search_mm: float = Field(default=24.0, gt=0)

@@ -1,104 +1,127 @@
-"""Detection and description of keypoints on the texture images."""
+"""Detection and description of keypoints on the texture images.
+
+The scale of the texture is metric, so that nothing is searched over scales: blobs are found at few fixed ones, where
+they stand out of the known noise, and what is described is a wide neighbourhood, smoothed as much as the blobs are.
+Where texture is weak, the width of what is compared and not its detail decides.
+"""
 
 from __future__ import annotations
 
-import cv2
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.spatial import cKDTree
 
-from planish.geometry import Array, invert, transform_points
-from planish.measurement import Map
+from planish.geometry import Array
 from planish.options import Options
+from planish.registration.keypoints.blobs import SmoothTexture, find_blobs, smooth_texture, spread_evenly
+from planish.registration.keypoints.describe import describe
+from planish.registration.keypoints.frames import SurfacePlaces, places_on_surface
 from planish.registration.keypoints.keypoints import Keypoints, no_keypoints
+from planish.registration.keypoints.orient import orient
 from planish.registration.texture.resample import TextureImage
 
 
 class KeypointOptions(Options):
-    """Options of keypoint detection and description (SIFT, Lowe 2004, on the metric texture image)."""
+    """Options of keypoint detection and description.
 
-    #: Largest number of keypoints per measurement.
-    max_keypoints: int = Field(default=4000, ge=10)
-    #: SIFT's threshold on the difference of Gaussians, on a texture whose robust deviation is `grey_per_deviation`.
-    contrast_threshold: float = Field(default=0.02, gt=0)
-    #: SIFT's limit on the ratio of principal curvatures.
-    edge_threshold: float = Field(default=10.0, gt=1)
-    #: Grey levels (of 255) that one robust standard deviation of the texture is spread to.
-    grey_per_deviation: float = Field(default=22.0, gt=0)
+    Lengths are in pixels of the texture images, whose pitch is one for a run and follows the resolution of its data.
+    """
+
+    #: Largest number of keypoints per measurement, shared by its charts and scales.
+    max_keypoints: int = Field(default=5000, ge=10)
+    #: Standard deviations of the smoothing at which blobs are found and described [texture px].
+    scales_px: tuple[float, ...] = Field(default=(2.0, 4.0), min_length=1)
+    #: Blobs that stand out by less than this many standard deviations of the noise are none.
+    min_significance: float = Field(default=2.5, ge=0)
+    #: Edge of the cells over which keypoints are spread, in multiples of the scale.
+    cell_scales: float = Field(default=20.0, gt=0)
+    #: Directions of the gradient are averaged over this multiple of the scale (standard deviation).
+    orientation_scales: float = Field(default=3.0, gt=0)
+    #: A second direction at least this strong, relative to the strongest, makes a second keypoint if there is room.
+    second_orientation: float = Field(default=0.85, gt=0, le=1)
+    #: Radius of the described neighbourhood, in multiples of the scale.
+    support_scales: float = Field(default=10.0, gt=0)
+
+
+@dataclass(frozen=True)
+class _Candidates:
+    """Blobs of one scale in one chart with their orientations; `which` says whose second ones `second_angle` are."""
+
+    image: TextureImage
+    chart: int
+    texture: SmoothTexture
+    xy: Array
+    angle: Array
+    which: NDArray[np.intp]
+    second_angle: Array
+
+    def keypoints(self, seconds: int, support_scales: float) -> Keypoints:
+        """Return the keypoints of all blobs, and so many more of second orientations."""
+        xy = np.concatenate([self.xy, self.xy[self.which[:seconds]]])
+        angle = np.concatenate([self.angle, self.second_angle[:seconds]])
+        places = places_on_surface(self.image, xy, angle)
+        words = describe(self.texture, places.xy, places.angle, support_scales)
+        size_mm = np.full(len(places), 2 * self.texture.scale_px * self.image.pitch_mm)
+        return keypoints_at(self.chart, places, size_mm, words)
 
 
 def detect_keypoints(images: tuple[TextureImage, ...], options: KeypointOptions | None = None) -> Keypoints:
-    """Return the strongest keypoints of a measurement's texture images, in a fixed order."""
+    """Return the keypoints of a measurement's texture images, by chart and scale, the surest first."""
     options = options or KeypointOptions()
-    share = max(10, options.max_keypoints // max(1, len(images)))
-    parts = [_detect(image, i, options, share) for i, image in enumerate(images)]
+    area = sum(int(image.mask.sum()) for image in images)
+    candidates, left = [], 0.0
+    for chart, image in enumerate(images):
+        if not image.mask.any():
+            continue
+        # Every scale and every part of the surface gets its share: which texture is good for what is not known before.
+        share = options.max_keypoints * float(image.mask.sum()) / area / len(options.scales_px)
+        # Coarse blobs are few: what they leave goes to the next scale.
+        for scale in sorted(options.scales_px, reverse=True):
+            candidates.append(_candidates(image, chart, scale, options, int(share + left)))
+            left += share - len(candidates[-1].xy)
+    parts, spare = [], options.max_keypoints - sum(len(c.xy) for c in candidates)
+    for i, c in enumerate(candidates):
+        # Second orientations take what blobs have left.
+        seconds = min(len(c.which), spare // (len(candidates) - i))
+        spare -= seconds
+        parts.append(c.keypoints(seconds, options.support_scales))
     if not parts:
         return no_keypoints()
-    return Keypoints(
+    found = Keypoints(
         *(np.concatenate([getattr(part, name) for part in parts]) for name in Keypoints.__dataclass_fields__)
     )
+    return found if len(images) == 1 else found.take(~_twins(found))
 
 
-def to_grey(image: TextureImage, grey_per_deviation: float) -> NDArray[np.uint8]:
-    """Return the texture as an 8 bit picture (h, w): mid grey outside the mask, robustly stretched."""
-    inside = image.value[image.mask]
-    # 1.4826 median |x|: the standard deviation of normally distributed values, untouched by scratches and specks.
-    deviation = 1.4826 * float(np.median(np.abs(inside))) if inside.size else 1.0
-    grey = 128 + image.value * (grey_per_deviation / max(deviation, 1e-9))
-    return np.clip(np.rint(grey), 0, 255).astype(np.uint8)
+def _twins(keypoints: Keypoints) -> NDArray[np.bool_]:
+    """Which keypoints (N,) an earlier chart has, too: the same scale, no farther than the scale.
+
+    Charts may overlap, and a place described in two of them would be its own second nearest neighbour in every match.
+    """
+    twins = np.zeros(len(keypoints), bool)
+    for chart in np.unique(keypoints.chart)[1:]:
+        for size in np.unique(keypoints.size_mm):
+            same = keypoints.size_mm == size
+            earlier, own = (np.flatnonzero(same & c) for c in (keypoints.chart < chart, keypoints.chart == chart))
+            distance, _ = cKDTree(keypoints.points_sensor[earlier]).query(keypoints.points_sensor[own])
+            twins[own] = distance < size / 2
+    return twins
 
 
-def _detect(image: TextureImage, chart: int, options: KeypointOptions, count: int) -> Keypoints:
-    # Precise upscaling: without it every position is off by a constant quarter of a pixel, which a half turn doubles.
-    sift = cv2.SIFT.create(
-        nfeatures=count,
-        contrastThreshold=options.contrast_threshold,
-        edgeThreshold=options.edge_threshold,
-        enable_precise_upscale=True,
-    )
-    grey = to_grey(image, options.grey_per_deviation)
-    found, descriptors = sift.detectAndCompute(grey, image.mask.astype(np.uint8) * 255)
-    if not found:
-        descriptors = np.empty((0, 128), np.float32)
-    xy = np.array([k.pt for k in found], float).reshape(-1, 2)
-    size = np.array([k.size for k in found]) * image.pitch_mm
-    angle = np.deg2rad([k.angle for k in found])
-    column, row = np.rint(xy).astype(int).T.reshape(2, -1)
-    # A keypoint whose position cannot be interpolated stands at the rim of the surface.
-    place = np.hstack([_sample(image.height_mm, xy), _sample(image.source_px, xy)])
-    inside = image.mask[row, column] & np.isfinite(place).all(1)
-    # Strongest first; position breaks ties, so that the order does not depend on the detector's threads.
-    response = np.array([k.response for k in found])
-    order = np.lexsort((angle, xy[:, 0], xy[:, 1], -response))
-    order = order[inside[order]][:count]
-    xy, size, angle, place = xy[order], size[order], angle[order], place[order]
-    column, row = column[order], row[order]
+def _candidates(image: TextureImage, chart: int, scale_px: float, options: KeypointOptions, count: int) -> _Candidates:
+    texture = smooth_texture(image, scale_px)
+    blobs = find_blobs(texture, options.min_significance)
+    xy = blobs.xy[spread_evenly(blobs, options.cell_scales * scale_px)[:count]]
+    angle, which, second = orient(texture, xy, options.orientation_scales, options.second_orientation)
+    return _Candidates(image, chart, texture, xy, angle, which, second)
 
-    points_chart = np.column_stack([xy * image.pitch_mm, place[:, 0]])
-    normal = image.normal_chart[row, column].astype(float)
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    direction = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
-    # The orientation is measured in the chart's plane; its tangent is what projects onto it along the chart's axis.
-    direction[:, 2] = -(direction[:, 0] * normal[:, 0] + direction[:, 1] * normal[:, 1]) / normal[:, 2]
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    frames = np.stack([direction, np.cross(normal, direction), normal], axis=2)
-    T_sensor_chart = invert(image.T_chart_sensor)
+
+def keypoints_at(chart: int, places: SurfacePlaces, size_mm: Array, descriptors: NDArray[np.uint8]) -> Keypoints:
+    """Return keypoints at places of the texture image number `chart`."""
     return Keypoints(
-        np.asarray(transform_points(T_sensor_chart, points_chart), float),
-        T_sensor_chart[:3, :3] @ frames,
-        size,
-        place[:, 1:],
-        np.rint(descriptors[order]).astype(np.uint8),
-        np.full(len(order), chart, np.intp),
-        xy,
-        angle,
-    )
-
-
-def _sample(image: Map, xy: Array) -> Array:
-    """Values (N, C) of an image (h, w) or (h, w, C) at places (N, 2), linearly interpolated."""
-    if len(xy) == 0:
-        return np.empty((0, 1 if image.ndim == 2 else image.shape[2]))
-    at = xy.astype(np.float32)
-    values = cv2.remap(image, at[:, :1], at[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return values.reshape(len(xy), -1).astype(float)
+        places.points_sensor, places.frames_sensor, size_mm, places.source_px, descriptors,
+        np.full(len(places), chart, np.intp), places.xy, places.angle,
+    )  # fmt: skip

@@ -22,11 +22,11 @@ class Keypoints:
     frames_sensor : ndarray (N, 3, 3)
         Columns: orientation of the texture in the tangent plane, normal x orientation, normal.
     size_mm : ndarray (N,)
-        Diameter of the described neighbourhood's core [mm].
+        Diameter of the blob: twice the scale at which it was found. What is described is ten times as wide [mm].
     pixels : ndarray (N, 2)
         Pixel (u, v) of the organising camera.
     descriptors : ndarray (N, 128) uint8
-        SIFT descriptors. Whole numbers: their dot products are exact in float32, in any order of summation.
+        What the neighbourhood looks like in the frame. Whole numbers: their dot products are exact in any order.
     chart : ndarray (N,) intp
         Index of the texture image that the keypoint was found in.
     chart_px : ndarray (N, 2)

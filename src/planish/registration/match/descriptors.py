@@ -1,4 +1,4 @@
-"""Mutual nearest neighbours of the descriptors, among keypoints of the same metric size."""
+"""Pairs of keypoints whose descriptors are near each other, as candidates for the comparison of their patches."""
 
 from __future__ import annotations
 
@@ -6,74 +6,53 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from planish import _core
-from planish.options import Options, thread_count
 from planish.registration.keypoints.keypoints import Keypoints
-from planish.registration.matches import Matches
-
-
-class MatchOptions(Options):
-    """Options of the matching."""
-
-    #: Nearest over second nearest descriptor distance; grain needs more freedom than the usual 0.8.
-    max_ratio: float = Field(default=0.95, gt=0, le=1)
-    #: The texture has one metric scale: sizes of two matching keypoints agree within this factor.
-    max_size_ratio: float = Field(default=1.4, ge=1)
-    #: Most matches that go on, best ratio first.
-    max_matches: int = Field(default=2500, ge=10)
 
 
 @dataclass(frozen=True)
 class Neighbours:
-    """M pairs of keypoints whose descriptors are each other's nearest, best ratio first.
+    """M pairs of keypoints of which one is the other's nearest by descriptor, best first.
 
     Parameters
     ----------
     index_a, index_b : ndarray (M,) int64
-        Indices into the two Keypoints; each index stands at most once.
+        Indices into the two Keypoints; no pair stands twice.
     ratio : ndarray (M,)
-        Nearest over second nearest descriptor distance.
+        Nearest over second nearest descriptor distance, the lesser of both directions.
+    mutual : ndarray (M,) bool
+        Whether each is the other's nearest.
     """
 
     index_a: NDArray[np.int64]
     index_b: NDArray[np.int64]
     ratio: NDArray[np.float64]
+    mutual: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.index_a)
 
 
-def match(a: Keypoints, b: Keypoints, options: MatchOptions | None = None, threads: int | None = None) -> Matches:
-    """Return the matches of two keypoint sets, best ratio of descriptor distances first."""
-    found = nearest_neighbours(a, b, options, threads)
-    a, b = a.take(found.index_a), b.take(found.index_b)
-    return Matches(
-        a.points_sensor, b.points_sensor, a.frames_sensor, b.frames_sensor, a.pixels, b.pixels,
-        np.full(len(a), np.nan),
-    )  # fmt: skip
+def nearest_neighbours(a: Keypoints, b: Keypoints, max_size_ratio: float, count: int, threads: int) -> Neighbours:
+    """Return the `count` best pairs of nearest neighbours of either direction: mutual ones first, then by ratio."""
+    forward, backward = _core.nearest_descriptors(
+        a.descriptors, a.size_mm, b.descriptors, b.size_mm, max_size_ratio, threads
+    )
+    from_a, from_b = np.flatnonzero(forward[:, 0] >= 0), np.flatnonzero(backward[:, 0] >= 0)
+    index_a = np.concatenate([from_a, backward[from_b, 0]]).astype(np.int64)
+    index_b = np.concatenate([forward[from_a, 0], from_b]).astype(np.int64)
+    ratio = np.concatenate([_ratio(forward[from_a]), _ratio(backward[from_b])])
+    # A pair that stands twice is mutual.
+    pair, back, times = np.unique(index_a * len(b) + index_b, return_inverse=True, return_counts=True)
+    least = np.full(len(pair), np.inf)
+    np.minimum.at(least, back, ratio)
+    order = np.lexsort((pair, least, times == 1))[:count]
+    index_a, index_b = np.divmod(pair[order], max(len(b), 1))
+    return Neighbours(index_a, index_b, least[order], times[order] == 2)
 
 
-def nearest_neighbours(
-    a: Keypoints, b: Keypoints, options: MatchOptions | None = None, threads: int | None = None
-) -> Neighbours:
-    """Return the mutual nearest neighbours of two keypoint sets, best ratio first."""
-    options, count = options or MatchOptions(), thread_count(threads)
-    none = np.empty(0, np.int64)
-    if len(a) < 2 or len(b) < 2:
-        return Neighbours(none, none, np.empty(0))
-
-    def nearest(x: Keypoints, y: Keypoints) -> NDArray[np.int32]:
-        return _core.nearest_descriptors(
-            x.descriptors, x.size_mm, y.descriptors, y.size_mm, options.max_size_ratio, count
-        )
-
-    forward, backward = nearest(a, b), nearest(b, a)
-    best = forward[:, 0].astype(np.int64)
-    mutual = (best >= 0) & (backward[best, 0] == np.arange(len(a)))
-    ratio = np.sqrt(forward[:, 1] / np.maximum(forward[:, 2].astype(float), 1.0))
-    index_a = np.flatnonzero(mutual & (ratio <= options.max_ratio))
-    order = np.lexsort((index_a, ratio[index_a]))[: options.max_matches]
-    index_a = index_a[order]
-    return Neighbours(index_a, best[index_a], ratio[index_a])
+def _ratio(found: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Nearest over second nearest distance; 1 where both are zero."""
+    nearest, second = found[:, 1].astype(float), found[:, 2].astype(float)
+    return np.sqrt(np.divide(nearest, second, out=np.ones(len(found)), where=second > 0))

@@ -10,8 +10,9 @@ import numpy as np
 from planish.geometry import Array, transform_points
 from planish.measurement import Measurement
 from planish.options import thread_count
+from planish.registration.refine.information import held_directions, information
 from planish.registration.refine.residuals import JointSide, Pull, pull
-from planish.registration.refine.solve import Refined, RefineOptions, held_directions
+from planish.registration.refine.solve import Refined, RefineOptions
 from planish.registration.rig_errors import displacements, rig_key, states_errors
 
 #: Tiles of the overlap on which displacements count as even, and pixels of the overlap that stand for all.
@@ -67,8 +68,10 @@ def calibration_shifts(
     assert moved_a is not None
     assert moved_b is not None
     use = np.isfinite(moved_a).all((0, 2)) & np.isfinite(moved_b).all((0, 2))
-    P = found.by_shift[use]
-    V, _ = held_directions(refined.equations, refined.lever_mm, options.max_sigma_mm)
+    info = information(refined.equations, refined.lever_mm)
+    trust = info.trust * info.scale[:, None] / info.scale
+    P = trust @ found.distance[use] + found.texture[use]
+    V, _ = held_directions(info, options.max_sigma_mm)
     H = np.einsum("nij,njk->ik", P, _rigid(x[use] - refined.about))
     solve = V @ np.linalg.solve(V.T @ H @ V, V.T)
     R, shifts = refined.T_a_b[:3, :3], dict[str, Array]()

@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from planish.geometry import Array
+from planish.registration.refine.information import combined_tiles, information
 from planish.registration.refine.solve import Refined
 from planish.registration.result import Direction
 
 #: A direction more uncertain than this is held by nothing [mm].
 OBSERVABLE_MM = 1.0
+#: Standard deviation of a direction that nothing holds [mm].
+_NOTHING_MM = 1000.0
 
 
 def noise_covariance(refined: Refined) -> Array:
@@ -20,12 +23,14 @@ def noise_covariance(refined: Refined) -> Array:
     scatter of the tiles' gradients (White 1980; Liang and Zeger 1986), needs no model of that correlation. H is the
     derivative of the robust gradient (Huber 1981, section 6.4), free of the noise of normals and texture gradients.
     """
-    e = refined.equations
-    scale = np.array([refined.lever_mm] * 3 + [1.0] * 3)
-    H = (e.slope_distance * e.H_distance_unbiased + e.slope_texture * e.H_texture_unbiased) / np.outer(scale, scale)
-    inverse = _inverse_where_held(H)
-    C = inverse @ _gradient_scatter(e.tile_gradients / scale) @ inverse
-    return C / np.outer(scale, scale)
+    info = information(refined.equations, refined.lever_mm)
+    values, vectors = np.linalg.eigh((info.total + info.total.T) / 2)
+    held = values > max(values[-1] * 1e-12, 1e-6)
+    inverse = vectors[:, held] / values[held]
+    scatter = _gradient_scatter(combined_tiles(refined.equations, info))
+    C = inverse @ (vectors[:, held].T @ scatter @ vectors[:, held]) @ inverse.T
+    C += _NOTHING_MM**2 * vectors[:, ~held] @ vectors[:, ~held].T
+    return C / np.outer(info.scale, info.scale)
 
 
 def _gradient_scatter(g: Array) -> Array:
@@ -51,28 +56,18 @@ def _gradient_scatter(g: Array) -> Array:
     return half @ half.T * n / max(n - 6, 1)
 
 
-def _inverse_where_held(H: Array) -> Array:
-    values, vectors = np.linalg.eigh((H + H.T) / 2)
-    # Directions that nothing holds get a large but finite variance: 1 m.
-    floor = max(values.max() * 1e-12, 1e-6)
-    return (vectors / np.maximum(values, floor)) @ vectors.T
-
-
 def observability(refined: Refined, covariance: Array) -> tuple[Direction, ...]:
     """Return the six principal directions of the information, best held first, each with what holds it.
 
     Rotations are scaled by the overlap's radius, so that all six are in millimetres at the overlap's rim.
     """
-    e = refined.equations
-    scale = np.array([refined.lever_mm] * 3 + [1.0] * 3)
-    H_t = e.H_texture_unbiased / np.outer(scale, scale)
-    H = e.H_distance_unbiased / np.outer(scale, scale) + H_t
-    _, vectors = np.linalg.eigh((H + H.T) / 2)
-    C = covariance * np.outer(scale, scale)
+    info = information(refined.equations, refined.lever_mm)
+    _, vectors = np.linalg.eigh((info.total + info.total.T) / 2)
+    C = covariance * np.outer(info.scale, info.scale)
     directions = []
     for v in vectors.T[::-1]:
         v = v * np.sign(v[np.argmax(np.abs(v))])
         sigma = float(np.sqrt(v @ C @ v))
-        share = float(np.clip(v @ H_t @ v / max(v @ H @ v, 1e-30), 0, 1))
+        share = float(np.clip(v @ info.texture @ v / max(v @ info.total @ v, 1e-30), 0, 1))
         directions.append(Direction(tuple(float(x) for x in v), refined.lever_mm, sigma, share, sigma < OBSERVABLE_MM))
     return tuple(directions)

@@ -8,7 +8,7 @@ point's depth moves the look-up only by the angle between the two viewing rays.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -92,8 +92,8 @@ class Equations:
 
     The `unbiased` are the information without what the noise of normals and gradients adds.
     `slope_distance` and `slope_texture` are the sums of psi'(r) over those of psi(r) / r of the robust influence psi:
-    by so much of H the gradient really changes. `tile_gradients` (rows, columns, 6) are the parts of the gradient from
-    each tile of b.
+    by so much of H the gradient really changes. `tile_gradients` (rows, columns, 2, 6) are the parts of the gradient of
+    distance and texture from each tile of b.
     """
 
     H_distance: Array
@@ -163,7 +163,7 @@ def equations(
     )  # fmt: skip
     return Equations(
         d[0], d[1][0], t[0], t[1][0], Hd, Ht, d[4], t[4], d[2] + t[2], d[3], t[3], correlation, conflicts,
-        tiles, distances, differences,
+        tiles.reshape(*tiles.shape[:2], 2, 6), distances, differences,
     )  # fmt: skip
 
 
@@ -175,13 +175,14 @@ class Pull:
     ----------
     pixels : ndarray (n, 2) int
         (u, v) of the pixel of b nearest to the tile's middle.
-    by_shift : ndarray (n, 6, 3)
-        Change of the gradient by a displacement [mm] in frame a of the tile's points of b and of their texture;
-        displacements of a's points count with the opposite sign.
+    distance, texture : ndarray (n, 6, 3)
+        Change of the gradient of either kind by a displacement [mm] in frame a of the tile's points of b and of their
+        texture; displacements of a's points count with the opposite sign.
     """
 
     pixels: NDArray[np.intp]
-    by_shift: Array
+    distance: Array
+    texture: Array
 
 
 def pull(
@@ -198,13 +199,19 @@ def pull(
     threads: int,
 ) -> Pull:
     """Return how the gradient of `equations` changes where points and texture of one side are displaced."""
-    by_shift, places = _core.joint_pull(
-        a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float),
-        _kernel_options(weights, max_distance_mm, max_normal_rad, stride, tile_px), threads,
-    )  # fmt: skip
-    met = places[0] >= 0
-    v, u = np.divmod(places[0, met], b.maps[0].shape[1])
-    return Pull(np.stack([u, v], -1), by_shift[met])
+
+    def of(w: Weights) -> tuple[Array, NDArray[np.int64]]:
+        by_shift, places = _core.joint_pull(
+            a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float),
+            _kernel_options(w, max_distance_mm, max_normal_rad, stride, tile_px), threads,
+        )  # fmt: skip
+        return by_shift, places[0]
+
+    distance, places = of(replace(weights, texture=0.0))
+    texture, _ = of(replace(weights, distance=0.0))
+    met = places >= 0
+    v, u = np.divmod(places[met], b.maps[0].shape[1])
+    return Pull(np.stack([u, v], -1), distance[met], texture[met])
 
 
 def _kernel_options(

@@ -1,4 +1,4 @@
-"""Gauss-Newton on the joint cost, coarse to fine, with observable directions only."""
+"""Newton steps on the joint cost, coarse to fine, with observable directions only."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from planish.geometry import Array, perturb
 from planish.options import Options, thread_count
+from planish.registration.refine.information import held_directions, information
 from planish.registration.refine.residuals import Equations, JointSide, Weights, equations
 
 
@@ -130,16 +131,7 @@ MIN_POINTS = 300
 
 
 def _step(e: Equations, lever_mm: float, max_sigma_mm: float) -> Array:
-    """Gauss-Newton step, without the directions that neither geometry nor texture holds."""
-    V, values = held_directions(e, lever_mm, max_sigma_mm)
-    return -V @ ((V.T @ (e.g_distance + e.g_texture)) / values)
-
-
-def held_directions(e: Equations, lever_mm: float, max_sigma_mm: float) -> tuple[Array, Array]:
-    """Return the directions (6, m) of xi that are updated, conjugate with respect to H, and their information (m,)."""
-    scale = np.array([lever_mm] * 3 + [1.0] * 3)
-    # The gradient of a robust cost changes by its slope of H only: with H alone the steps fall short.
-    H = max(e.slope_distance, _MIN_SLOPE) * e.H_distance + max(e.slope_texture, _MIN_SLOPE) * e.H_texture
-    values, vectors = np.linalg.eigh(H / np.outer(scale, scale))
-    held = values > 1 / max_sigma_mm**2
-    return vectors[:, held] / scale[:, None], values[held]
+    """Newton step with the expected curvature, without the directions that neither geometry nor texture holds."""
+    info = information(e, lever_mm, _MIN_SLOPE)
+    V, values = held_directions(info, max_sigma_mm)
+    return -V @ ((V.T @ (info.scale * info.gradient)) / values)

@@ -1,4 +1,4 @@
-"""The TextureImage: a metric, orthographic picture of a measurement on a chart."""
+"""The TextureImage: a metric picture of a piece of surface, unrolled into the plane."""
 
 from __future__ import annotations
 
@@ -9,48 +9,94 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish import _core
-from planish.geometry import Array, transform_points
+from planish.geometry import Array
 from planish.measurement import Map, Measurement
+from planish.options import thread_count
 from planish.registration.surface import Surface
-from planish.registration.texture.charts import ChartOptions, plan_charts
+from planish.registration.texture.charts import Chart, ChartOptions, plan_charts
 from planish.registration.tiles import ground_sample_distance
 
 #: Triangles with an edge longer than this many sample distances bridge a gap and are left out.
 _MAX_EDGE_GSD = 6.0
+#: Points farther from the tangent planes of the nodes around them than this share of the nodes' distance belong to
+#: another surface (in the middle between nodes, that is a bend of 60 degrees).
+_MAX_HEIGHT = 0.35
 
 
 @dataclass(frozen=True)
 class TextureImage:
-    """Orthographic picture of the surface; the centre of pixel (column, row) is (column, row) * pitch_mm in the chart.
+    """Picture of an unrolled piece of surface; pixel (column, row) stands at (column, row) * pitch_mm in the plane.
+
+    x points right, y down, as the sensor sees the part; distances in the picture are distances along the surface.
 
     Parameters
     ----------
-    T_chart_sensor : ndarray (4, 4)
-        Chart axes: x right, y down, z into the surface [mm].
     pitch_mm : float
         Size of a pixel [mm].
     value : ndarray (h, w) float32
         Local contrast (relative albedo), 0 outside `mask`.
     sigma : ndarray (h, w) float32
         Standard deviation of `value` from camera noise.
-    height_mm : ndarray (h, w) float32
-        Surface z in the chart [mm]; NaN outside `mask`.
-    normal_chart : ndarray (h, w, 3) float32
-        Unit normals in the chart frame (z < 0: towards the sensor).
     mask : ndarray (h, w) bool
         Where the chart holds surface and texture.
+    points_sensor, normals_sensor : ndarray (h, w, 3) float32
+        Point [mm] and unit normal of the surface.
+    x_axis_sensor : ndarray (h, w, 3) float32
+        Unit tangent of the surface along the picture's x; its y is x cross normal.
     source_px : ndarray (h, w, 2) float32
-        Pixel (u, v) of the organising camera.
+        Pixel (u, v) of the organising camera; NaN, as the three before, where there is no surface.
     """
 
-    T_chart_sensor: Array
     pitch_mm: float = field(metadata={"unit": "mm"})
     value: Map
     sigma: Map
-    height_mm: Map = field(metadata={"unit": "mm"})
-    normal_chart: Map
     mask: NDArray[np.bool_]
+    points_sensor: Map = field(metadata={"unit": "mm"})
+    normals_sensor: Map
+    x_axis_sensor: Map
     source_px: Map = field(metadata={"unit": "px"})
+
+    def locate(self, xy: Array, angle_rad: Array) -> tuple[Array, Array, Array]:
+        """Return where places of the picture lie on the part.
+
+        Parameters
+        ----------
+        xy : ndarray (N, 2)
+            Column and row [texture px].
+        angle_rad : ndarray (N,)
+            A direction in the picture, from x towards y.
+
+        Returns
+        -------
+        points_sensor : ndarray (N, 3)
+            Interpolated linearly [mm]; NaN, as all of the place, where one of the four pixels around it is not in the
+            mask.
+        frames_sensor : ndarray (N, 3, 3)
+            Columns: the direction on the surface, normal x direction, normal.
+        pixels : ndarray (N, 2)
+            Pixel (u, v) of the organising camera.
+        """
+        maps = self.points_sensor, self.normals_sensor, self.x_axis_sensor, self.source_px
+        points, normals, x, pixels = (self._interpolated(image, xy) for image in maps)
+        with np.errstate(invalid="ignore"):
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            x -= normals * (x * normals).sum(1, keepdims=True)
+            x /= np.linalg.norm(x, axis=1, keepdims=True)
+        direction = np.cos(angle_rad)[:, None] * x + np.sin(angle_rad)[:, None] * np.cross(x, normals)
+        return points, np.stack([direction, np.cross(normals, direction), normals], axis=2), pixels
+
+    def _interpolated(self, image: Map, xy: Array) -> Array:
+        height, width = self.mask.shape
+        corner = np.clip(np.floor(xy).astype(int), 0, [max(0, width - 2), max(0, height - 2)])
+        far = np.minimum(corner + 1, [width - 1, height - 1])
+        share = xy - corner
+        inside: NDArray[np.bool_] = np.all((xy >= 0) & (xy <= [width - 1, height - 1]), axis=1)
+        out = np.zeros((len(xy), image.shape[2]))
+        for column, wx in ((corner[:, 0], 1 - share[:, 0]), (far[:, 0], share[:, 0])):
+            for row, wy in ((corner[:, 1], 1 - share[:, 1]), (far[:, 1], share[:, 1])):
+                out += (wx * wy)[:, None] * image[row, column]
+                inside &= self.mask[row, column]
+        return np.where(inside[:, None], out, np.nan)
 
 
 def texture_images(
@@ -59,52 +105,36 @@ def texture_images(
     contrast: tuple[Map, Map],
     pitch_mm: float,
     options: ChartOptions | None = None,
+    threads: int | None = None,
 ) -> tuple[TextureImage, ...]:
     """Return one TextureImage per chart of the measurement; `contrast` is value and sigma from `local_contrast`."""
-    options = options or ChartOptions()
     charts = plan_charts(measurement, surface, options)
-    return tuple(_resample(measurement, surface, contrast, T, pitch_mm, options) for T in charts)
+    gsd, count = ground_sample_distance(measurement), thread_count(threads)
+    drawn = (_resample(surface, contrast, chart, pitch_mm, gsd, count) for chart in charts)
+    return tuple(image for image in drawn if image is not None)
 
 
 def _resample(
-    measurement: Measurement,
-    surface: Surface,
-    contrast: tuple[Map, Map],
-    T_chart_sensor: Array,
-    pitch_mm: float,
-    options: ChartOptions,
-) -> TextureImage:
-    min_cosine = float(np.cos(np.deg2rad(options.reach_deg)))
-    width, height = _chart_size(surface, T_chart_sensor, pitch_mm, min_cosine)
-    max_edge = _MAX_EDGE_GSD * ground_sample_distance(measurement)
-    source, z = _core.rasterise_chart(
-        surface.points_sensor, surface.normals_sensor, T_chart_sensor, pitch_mm, min_cosine, max_edge, height, width
+    surface: Surface, contrast: tuple[Map, Map], chart: Chart, pitch_mm: float, gsd_mm: float, threads: int
+) -> TextureImage | None:
+    max_height = _MAX_HEIGHT * chart.step_px * gsd_mm
+    places, extent = _core.chart_coordinates(surface.points_sensor, chart.maps, chart.step_px, max_height, threads)
+    left, top, right, bottom = extent
+    if not right >= left:
+        return None
+    width, height = (int(np.ceil(size / pitch_mm)) + 1 for size in (right - left, bottom - top))
+    source = _core.rasterise_chart(places, left, top, pitch_mm, _MAX_EDGE_GSD * gsd_mm, height, width)
+    points, normals, x_axis = _core.chart_surface(
+        source, surface.points_sensor, surface.normals_sensor, chart.maps, chart.step_px, threads
     )
-    known = np.isfinite(z)
-    u, v = (np.where(known, source[..., i], np.float32(-1e4)) for i in (0, 1))
-
-    def sample(image: Map, how: int) -> Map:
-        return cv2.remap(image, u, v, how, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
-
-    value, sigma = contrast
-    sampled_sigma = sample(sigma, cv2.INTER_LINEAR)
-    sampled = sample(np.nan_to_num(value, nan=0.0), cv2.INTER_CUBIC)
-    normal = sample(surface.normals_sensor, cv2.INTER_LINEAR) @ T_chart_sensor[:3, :3].T.astype(np.float32)
-    mask = known & np.isfinite(sampled) & np.isfinite(sampled_sigma) & np.isfinite(normal[..., 0])
+    u, v = cv2.split(np.nan_to_num(source, nan=-1e4))
+    nan, outside = float("nan"), cv2.BORDER_CONSTANT
+    # A pixel without texture is one without sigma: the cubic would spread its NaN over 16 pixels.
+    value = cv2.remap(np.nan_to_num(contrast[0], nan=0.0), u, v, cv2.INTER_CUBIC, borderMode=outside, borderValue=nan)
+    sigma = cv2.remap(contrast[1], u, v, cv2.INTER_LINEAR, borderMode=outside, borderValue=nan)
+    # NaN in a sum is NaN in one of its terms.
+    mask = np.isfinite(value + sigma + points[..., 2] + normals[..., 2])
     return TextureImage(
-        T_chart_sensor, pitch_mm, np.where(mask, sampled, np.float32(0)), np.where(mask, sampled_sigma, np.float32(0)),
-        np.where(mask, z, np.float32(np.nan)), normal, mask, source,
+        pitch_mm, np.where(mask, value, np.float32(0)), np.where(mask, sigma, np.float32(0)), mask, points, normals,
+        x_axis, source,
     )  # fmt: skip
-
-
-def _chart_size(surface: Surface, T_chart_sensor: Array, pitch_mm: float, min_cosine: float) -> tuple[int, int]:
-    """Width and height [px] of what the chart holds; a rim that the sparse sampling misses is cut off."""
-    points, normals = (m[::_EXTENT_STRIDE, ::_EXTENT_STRIDE] for m in (surface.points_sensor, surface.normals_sensor))
-    faces = normals @ -T_chart_sensor[2, :3] >= min_cosine
-    extent = np.max(transform_points(T_chart_sensor, points[faces]).astype(float), axis=0, initial=0.0)
-    width, height = (int(n) + 1 for n in np.ceil(extent[:2] / pitch_mm))
-    return width, height
-
-
-#: Every n-th pixel decides about the size of a chart.
-_EXTENT_STRIDE = 4

@@ -46,7 +46,7 @@ def runner_up(coarse: CoarseResult, centre_b: Array, pairs_in_run: float) -> Run
     """Return the second candidate as evidence, with its difference from the first at a point of b."""
     if len(coarse.candidates) < 2:
         return None
-    first, second = coarse.candidates
+    first, second = coarse.candidates[:2]
     shift = transform_points(second.T_a_b, centre_b) - transform_points(first.T_a_b, centre_b)
     return RunnerUp(
         second.places,

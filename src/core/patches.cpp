@@ -1,0 +1,257 @@
+#include "core/patches.hpp"
+
+#include <Eigen/Core>
+#include <algorithm>
+#include <cmath>
+
+#include "core/parallel.hpp"
+
+namespace planish {
+namespace {
+
+/// Values that one instruction takes; rows are padded to whole vectors, so that the inner loops need no rest.
+constexpr int lane = 8;
+using Lanes = Eigen::Array<float, lane, 1>;
+/// Offsets along x that are computed in one go: each value is loaded once for all of them.
+constexpr int block = 5;
+
+constexpr int padded(int n) { return (n + lane - 1) / lane * lane; }
+
+/// A square of side 2 * half + 1 around a place. Beyond each row lie zeros, which the inner loops may read.
+struct Square {
+    int half, side, stride;
+    std::vector<float> value;
+
+    explicit Square(int half_) : half(half_), side(2 * half + 1), stride(padded(side) + padded(block) + lane) {
+        value.assign(static_cast<std::size_t>(side + 1) * stride, 0.0F);
+    }
+    [[nodiscard]] float* row(int y) { return value.data() + static_cast<std::size_t>(y) * stride; }
+    [[nodiscard]] const float* row(int y) const { return value.data() + static_cast<std::size_t>(y) * stride; }
+};
+
+/// The columns [begin, end) of each row of a disc.
+struct Disc {
+    std::vector<int> begin, end;
+
+    explicit Disc(int half) {
+        for (int dy = -half; dy <= half; ++dy) {
+            const int reach = static_cast<int>(std::sqrt(static_cast<double>(half * half - dy * dy)));
+            begin.push_back(half - reach);
+            end.push_back(half + reach + 1);
+        }
+    }
+};
+
+/// Values of a line of the chart by linear interpolation: from (u, v) in steps (du, dv); zero outside the chart.
+void sample_line(const Image<const float>& chart, float u0, float v0, float du, float dv, int count,
+                 float* __restrict out) {
+    const float u_max = static_cast<float>(chart.width) - 1.001F, v_max = static_cast<float>(chart.height) - 1.001F;
+    const int width = chart.width;
+    const float* __restrict data = chart.data;
+    for (int x = 0; x < count; ++x) {
+        const float u = u0 + static_cast<float>(x) * du, v = v0 + static_cast<float>(x) * dv;
+        // Clamped, so that every read is inside; what was outside is multiplied by zero.
+        const float uc = std::min(std::max(u, 0.0F), u_max), vc = std::min(std::max(v, 0.0F), v_max);
+        const float inside = (uc == u ? 1.0F : 0.0F) * (vc == v ? 1.0F : 0.0F);
+        const int iu = static_cast<int>(uc), iv = static_cast<int>(vc);
+        const float fu = uc - static_cast<float>(iu), fv = vc - static_cast<float>(iv);
+        const int at = iv * width + iu;
+        const float top = data[at] + fu * (data[at + 1] - data[at]);
+        const float bottom = data[at + width] + fu * (data[at + width + 1] - data[at + width]);
+        out[x] = inside * (top + fv * (bottom - top));
+    }
+}
+
+/// The surroundings of a place, turned by `turn`; of a disc where one is given, which is zero outside.
+void sample(const Image<const float>& chart, const PatchPlace& place, double turn, const Disc* disc, Square& out) {
+    const double c = std::cos(turn), s = std::sin(turn);
+    const auto& m = place.axes;
+    const double ux = m[0] * c + m[1] * s, uy = m[1] * c - m[0] * s;
+    const double vx = m[2] * c + m[3] * s, vy = m[3] * c - m[2] * s;
+    for (int y = 0; y < out.side; ++y) {
+        const int begin = disc ? disc->begin[y] : 0, end = disc ? disc->end[y] : out.side;
+        const double dx = begin - out.half, dy = y - out.half;
+        sample_line(chart, static_cast<float>(place.u + dx * ux + dy * uy),
+                    static_cast<float>(place.v + dx * vx + dy * vy), static_cast<float>(ux), static_cast<float>(vx),
+                    end - begin, out.row(y) + begin);
+    }
+}
+
+/// Sums of a * b over the disc of a at the whole offsets (x, y) ... (x + block - 1, y) in b.
+std::array<float, block> products(const Square& a, const Disc& disc, const Square& b, int x, int y) {
+    const int shift = b.half - a.half;
+    std::array<Lanes, block> sums;
+    sums.fill(Lanes::Zero());
+    for (int r = 0; r < a.side; ++r) {
+        const float* p = a.row(r);
+        const float* q = b.row(r + shift + y) + shift + x;
+        for (int k = disc.begin[r] / lane * lane; k < disc.end[r]; k += lane) {
+            const Lanes value = Eigen::Map<const Lanes>(p + k);
+            for (int i = 0; i < block; ++i) sums[i] += value * Eigen::Map<const Lanes>(q + k + i);
+        }
+    }
+    std::array<float, block> out;
+    for (int i = 0; i < block; ++i) out[i] = sums[i].sum();
+    return out;
+}
+
+/// A patch with its squares and where it has texture, as the normalisation needs them.
+struct Known {
+    Square value, squared, known;
+    bool there = true;
+
+    explicit Known(int half) : value(half), squared(half), known(half) {}
+    void complete() {
+        for (std::size_t i = 0; i < value.value.size(); ++i) {
+            const float v = value.value[i];
+            squared.value[i] = v * v;
+            known.value[i] = v != 0.0F ? 1.0F : 0.0F;
+        }
+    }
+};
+
+struct Correlation {
+    double value = -1.0;
+    int pixels = 0;
+};
+
+/// Normalised over the pixels where both have texture, at the offsets (x - 1, y), (x, y), (x + 1, y).
+std::array<Correlation, 3> correlate(const Known& a, const Disc& disc, const Known& b, int x, int y) {
+    const auto ab = products(a.value, disc, b.value, x - 1, y);
+    const auto aa = products(a.squared, disc, b.known, x - 1, y);
+    const auto bb = products(a.known, disc, b.squared, x - 1, y);
+    const auto n = products(a.known, disc, b.known, x - 1, y);
+    std::array<Correlation, 3> out;
+    for (int i = 0; i < 3; ++i) {
+        const double norm = std::sqrt(static_cast<double>(aa[i]) * bb[i]);
+        if (norm > 0) out[i] = {ab[i] / norm, static_cast<int>(n[i])};
+    }
+    return out;
+}
+
+/// Place of the vertex of the parabola through (-1, low), (0, middle), (1, high), within half a step.
+double vertex(double low, double middle, double high) {
+    const double bend = low - 2 * middle + high;
+    return bend < 0 ? std::clamp(0.5 * (low - high) / bend, -0.5, 0.5) : 0.0;
+}
+
+struct Best {
+    int turn = 0, x = 0, y = 0;
+    double value = 0.0;
+};
+
+/// Aligns one pair after the other; the turned patches of a are kept while a stays the same.
+class Aligner {
+  public:
+    explicit Aligner(const PatchOptions& options)
+        : o(options),
+          disc(options.radius),
+          turned(2 * options.turns + 1, Square(options.radius)),
+          energy(turned.size()),
+          fan(5, Known(options.radius)),
+          wide(options.radius + options.reach + 1) {}
+
+    PatchAlignment align(const Image<const float>& chart_a, const PatchPlace& a, const Image<const float>& chart_b,
+                         const PatchPlace& b) {
+        if (&a != of_a) turn_all(chart_a, a);
+        of_a = &a;
+        sample(chart_b, b, 0.0, nullptr, wide.value);
+        const Best coarse = search();
+        if (coarse.value <= 0.0) return {};
+        wide.complete();
+        const double middle = (coarse.turn - o.turns) * o.turn_step;
+        for (int t = -2; t <= 2; ++t) {
+            Known& one = fan[t + 2];
+            const int whole = coarse.turn + t / 2;
+            one.there = t % 2 != 0 || (whole >= 0 && whole < static_cast<int>(turned.size()));
+            if (!one.there) continue;
+            if (t % 2 == 0)
+                one.value = turned[whole];
+            else
+                sample(chart_a, a, -(middle + t * 0.5 * o.turn_step), &disc, one.value);
+            one.complete();
+        }
+        return fine(coarse, middle);
+    }
+
+  private:
+    void turn_all(const Image<const float>& chart, const PatchPlace& place) {
+        for (int t = 0; t < static_cast<int>(turned.size()); ++t) {
+            // The offsets are those of b's patch, so that a is the one that is read along turned axes.
+            sample(chart, place, -(t - o.turns) * o.turn_step, &disc, turned[t]);
+            energy[t] = products(turned[t], disc, turned[t], 0, 0)[0];
+        }
+    }
+
+    /// The greatest product over all rotations and whole offsets, relative to the energy of the turned patch.
+    [[nodiscard]] Best search() const {
+        Best best;
+        for (int t = 0; t < static_cast<int>(turned.size()); ++t) {
+            if (energy[t] <= 0) continue;
+            const double scale = 1.0 / std::sqrt(energy[t]);
+            for (int y = -o.reach; y <= o.reach; ++y)
+                for (int x = -o.reach; x <= o.reach; x += block) {
+                    const auto sums = products(turned[t], disc, wide.value, x, y);
+                    for (int i = 0; i < block && x + i <= o.reach; ++i)
+                        if (scale * sums[i] > best.value) best = {t, x + i, y, scale * sums[i]};
+                }
+        }
+        return best;
+    }
+
+    /// The greatest correlation around the coarse one, with fractions of steps.
+    [[nodiscard]] PatchAlignment fine(const Best& coarse, double middle) const {
+        Best best;
+        Correlation at_best;
+        for (int t = 1; t <= 3; ++t)
+            for (int y = std::max(coarse.y - 1, -o.reach); y <= std::min(coarse.y + 1, o.reach); ++y) {
+                const auto row = correlate(fan[t], disc, wide, coarse.x, y);
+                for (int i = 0; i < 3; ++i) {
+                    const int x = coarse.x + i - 1;
+                    if (std::abs(x) > o.reach || row[i].value <= at_best.value) continue;
+                    at_best = row[i];
+                    best = {t, x, y, row[i].value};
+                }
+            }
+        if (at_best.pixels == 0) return {};
+        const auto at = [&](int t, int y) { return correlate(fan[t], disc, wide, best.x, y); };
+        const auto row = at(best.turn, best.y);
+        const double half_step = 0.5 * o.turn_step;
+        const double x = best.x + vertex(row[0].value, best.value, row[2].value);
+        const double y =
+            best.y + vertex(at(best.turn, best.y - 1)[1].value, best.value, at(best.turn, best.y + 1)[1].value);
+        double turn = middle + (best.turn - 2) * half_step;
+        if (fan[best.turn - 1].there && fan[best.turn + 1].there)
+            turn +=
+                half_step * vertex(at(best.turn - 1, best.y)[1].value, best.value, at(best.turn + 1, best.y)[1].value);
+        return {at_best.value, x, y, turn, at_best.pixels};
+    }
+
+    PatchOptions o;
+    Disc disc;
+    std::vector<Square> turned;
+    std::vector<double> energy;
+    std::vector<Known> fan;  ///< of a: half steps around the best rotation, from a whole step back to one on
+    Known wide;              ///< of b
+    const PatchPlace* of_a = nullptr;
+};
+
+}  // namespace
+
+std::vector<PatchAlignment> align_patches(std::span<const Image<const float>> charts_a,
+                                          std::span<const Image<const float>> charts_b,
+                                          std::span<const PatchPlace> places_a, std::span<const PatchPlace> places_b,
+                                          std::span<const PatchPair> pairs, const PatchOptions& options, int threads) {
+    std::vector<PatchAlignment> out(pairs.size());
+    parallel_for(pairs.size(), threads, [&](std::size_t first, std::size_t last) {
+        Aligner aligner(options);
+        for (std::size_t i = first; i < last; ++i) {
+            const auto [a, b] = pairs[i];
+            const PatchPlace &at_a = places_a[a], &at_b = places_b[b];
+            out[i] = aligner.align(charts_a[at_a.chart], at_a, charts_b[at_b.chart], at_b);
+        }
+    });
+    return out;
+}
+
+}  // namespace planish
