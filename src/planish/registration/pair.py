@@ -125,13 +125,28 @@ def register_pair(
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
     options = options or PairOptions()
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
-    coarse, still_share = _moving_consensus(a, b, matches, options, threads)
-    tried: float = pairs_in_run
-    if _alarms(coarse, tried) > options.verdict.max_log10_false_alarms and _asks_for_windows(a, b, options.dense):
-        windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
-        moving, share = _moving_consensus(a, b, windows.matches, options, threads, windows.chance)
-        if _alarms(moving, pairs_in_run * windows.tried) < _alarms(coarse, tried):
-            matches, coarse, still_share, tried = windows.matches, moving, share, pairs_in_run * windows.tried
+    result = _judged(a, b, matches, options, pairs_in_run, threads)
+    if result.status != "refused" or not _asks_for_windows(a, b, options.dense):
+        return result
+    windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
+    tried = pairs_in_run * windows.tried
+    second = _judged(a, b, windows.matches, options, tried, threads, windows.chance)
+    # Of two refusals the one that says more.
+    better = second.log10_false_alarms < result.log10_false_alarms
+    return second if second.status != "refused" or better else result
+
+
+def _judged(
+    a: Prepared,
+    b: Prepared,
+    matches: Matches,
+    options: PairOptions,
+    tried: float,
+    threads: int | None,
+    chance: float | None = None,
+) -> PairResult:
+    """Return the result of these matches; `tried` counts what chance had to choose from (pairs, placements)."""
+    coarse, still_share = _moving_consensus(a, b, matches, options, threads, chance)
     centre_b = matches.points_b.mean(0) if len(matches) else np.zeros(3)
     other = runner_up(coarse, centre_b, tried)
     judgement = judge_coarse(coarse, other, still_share, tried, options.verdict)
@@ -143,7 +158,7 @@ def register_pair(
         reason=judgement.reason,
         matches=len(matches),
         consensus=best.places if best else 0,
-        log10_false_alarms=_alarms(coarse, tried),
+        log10_false_alarms=log10_false_alarms(best.places if best else 0, coarse.places, coarse.chance, tried),
         runner_up=other,
         T_coarse_a_b=best.T_a_b if best else None,
         matches_px=_pixels(matches),
@@ -156,11 +171,6 @@ def register_pair(
 
 def _patch_side(side: Prepared) -> PatchSide:
     return PatchSide(side.keypoints, side.images, side.patches)
-
-
-def _alarms(coarse: CoarseResult, tried: float) -> float:
-    places = coarse.candidates[0].places if coarse.candidates else 0
-    return log10_false_alarms(places, coarse.places, coarse.chance, tried)
 
 
 def _asks_for_windows(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
