@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints, keypoints_at
 from planish.registration.keypoints.frames import places_on_surface
 from planish.registration.keypoints.keypoints import Keypoints
-from planish.registration.match.descriptors import MatchOptions, nearest_neighbours
+from planish.registration.match.descriptors import nearest_neighbours
+from planish.registration.match.matching import MatchOptions
 from planish.registration.texture.resample import TextureImage
 
 Images = tuple[TextureImage, ...]
@@ -21,6 +22,8 @@ Images = tuple[TextureImage, ...]
 GREY_PER_DEVIATION = 22.0
 #: SIFT's threshold on such pictures: low, for the number of keypoints is limited anyway.
 SIFT_CONTRAST = 0.02
+#: Nearest over second nearest descriptor distance; grain needs more freedom than the usual 0.8.
+MAX_RATIO = 0.95
 
 
 @dataclass(frozen=True)
@@ -42,8 +45,10 @@ def to_grey(image: TextureImage) -> NDArray[np.uint8]:
 def mutual_matches(a: Found, b: Found) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the indices of mutual nearest neighbours that pass the ratio test."""
     if a.bits is None or b.bits is None:
-        found = nearest_neighbours(a.keypoints, b.keypoints, threads=1)
-        return found.index_a, found.index_b
+        every = len(a.keypoints) + len(b.keypoints)
+        found = nearest_neighbours(a.keypoints, b.keypoints, MatchOptions().max_size_ratio, every, threads=1)
+        good = found.mutual & (found.ratio <= MAX_RATIO)
+        return found.index_a[good], found.index_b[good]
     none = np.empty(0, np.int64)
     if min(len(a.bits), len(b.bits)) < 2:
         return none, none
@@ -53,7 +58,7 @@ def mutual_matches(a: Found, b: Found) -> tuple[NDArray[np.int64], NDArray[np.in
     good = [
         (m.queryIdx, m.trainIdx)
         for m, n in forward
-        if nearest[m.trainIdx] == m.queryIdx and m.distance <= MatchOptions().max_ratio * n.distance
+        if nearest[m.trainIdx] == m.queryIdx and m.distance <= MAX_RATIO * n.distance
     ]
     return (
         (np.array([g[0] for g in good], np.int64), np.array([g[1] for g in good], np.int64)) if good else (none, none)

@@ -12,6 +12,7 @@ import sheets
 from planish.geometry import translation
 from planish.measurement import NoiseModel, View
 from planish.registration.surface import fit_surface
+from planish.registration.texture.lowpass import Lowpass
 from planish.registration.texture.photometric import local_contrast
 from planish.registration.texture.shading import projector_shading
 from planish.rig import Rig
@@ -20,6 +21,8 @@ from planish.rig import Rig
 ROUNDING = 2e-6
 #: Shading of 30 % over the image leaves its slope within the low-pass window: second order, far below the grain.
 SHADING_SHARE = 0.03
+#: Blocks of one pixel.
+EVERY_PIXEL = Lowpass(2.0, 1, 1)
 
 
 def with_image(m, image, noise=None, **changes):
@@ -149,7 +152,7 @@ def test_the_projectors_light_on_a_bent_sheet_is_not_taken_for_texture(room):
 
 def test_the_shading_follows_the_cosine_and_the_square_of_the_distance():
     m, irradiance = lit_by_a_projector(sheets.quiet("a", 0.0))
-    shading = projector_shading(m, fit_surface(m))
+    shading = projector_shading(m, fit_surface(m), EVERY_PIXEL)
     ratio = shading / irradiance
     inner = ratio[10:-10, 10:-10]
     # Noise of the points turns the averaged normals by less than a milliradian.
@@ -157,7 +160,7 @@ def test_the_shading_follows_the_cosine_and_the_square_of_the_distance():
 
 
 def test_without_a_projector_there_is_no_shading_model(clean):
-    assert projector_shading(clean, fit_surface(clean)) is None
+    assert projector_shading(clean, fit_surface(clean), EVERY_PIXEL) is None
 
 
 def test_where_one_camera_sees_a_highlight_the_other_one_counts():

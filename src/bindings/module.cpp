@@ -25,6 +25,7 @@ NB_MODULE(PLANISH_MODULE, m) {
     bind_decoding(m);
     bind_sensing(m);
     bind_checks(m);
+    bind_texture(m);
     bind_registration(m);
     bind_evaluation(m);
     bind_simulation(m);

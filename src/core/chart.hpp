@@ -39,4 +39,12 @@ void chart_surface(const Image<const float>& source, const Image<const float>& p
                    const Image<const float>& normals, const Image<const float>& nodes, int step,
                    const ChartSurface& out, int threads);
 
+/// Value and standard deviation of a map at the places `source` of a chart, by cubic convolution. Where chart pixels
+/// are larger than the map's, the kernel widens with them: what the chart cannot show is averaged, not folded into it.
+/// `sigma` is that of errors of which the share `interpolated` of the variance has been read by cubic convolution
+/// before, so that neighbours share it; the rest is independent. NaN where the kernel's core meets NaN; its outer part
+/// leaves NaN out.
+void sample_chart(const Image<const float>& value, const Image<const float>& sigma, const Image<const float>& source,
+                  float interpolated, int threads, const Image<float>& out_value, const Image<float>& out_sigma);
+
 }  // namespace planish

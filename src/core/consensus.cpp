@@ -14,6 +14,8 @@
 namespace planish {
 namespace {
 
+/// Matches asked first, one after the other: where much agrees, they find it and spare most of the others.
+constexpr std::size_t asked_first = 16;
 /// Most promising matches that are refined; in practice few are left after those that belong to what is found.
 constexpr int most_refined = 1000;
 
@@ -151,27 +153,40 @@ std::vector<Hypothesis> find_consensus(std::span<const FramedMatch> matches, con
                                        int threads) {
     std::vector<int> cells;
     const int cell_count = number_cells(matches, o.distinct, cells);
-    std::vector<TurnVote> votes(matches.size());
-    parallel_for(matches.size(), threads, [&](std::size_t first, std::size_t last) {
-        TurnVoting voting(matches, cells, cell_count, o);
-        for (std::size_t i = first; i < last; ++i) votes[i] = voting.vote(i);
-    });
-    std::vector<std::size_t> order(matches.size());
-    std::iota(order.begin(), order.end(), std::size_t{0});
-    std::ranges::stable_sort(order, [&](std::size_t i, std::size_t j) { return votes[i].places > votes[j].places; });
-
     TurnVoting voting(matches, cells, cell_count, o);
     Refinement refinement(matches, cells, cell_count, o);
     std::vector<Hypothesis> found;
+    Hypothesis best;
+    const auto refine = [&](std::size_t i, const TurnVote& vote) {
+        const Hypothesis h = refinement.refine(voting.voters(i, vote.turn), turned(matches[i], vote.turn));
+        if (h.places < 3) return;
+        found.push_back(h);
+        if (better(h, best)) best = h;
+    };
+    // A better transform has a member that does not agree with the best so far: those that do need not be asked.
+    const auto spared = [&](std::size_t i) { return best.places > 0 && refinement.agrees(matches[i], best); };
+    for (std::size_t i = 0; i < std::min(asked_first, matches.size()); ++i) {
+        if (spared(i)) continue;
+        const TurnVote vote = voting.vote(i);
+        if (vote.places >= 3) refine(i, vote);
+    }
+    std::vector<std::size_t> order;
+    for (std::size_t i = 0; i < matches.size(); ++i)
+        if (!spared(i)) order.push_back(i);
+    std::vector<TurnVote> votes(matches.size());
+    parallel_for(order.size(), threads, [&](std::size_t first, std::size_t last) {
+        TurnVoting own(matches, cells, cell_count, o);
+        for (std::size_t k = first; k < last; ++k) votes[order[k]] = own.vote(order[k]);
+    });
+    std::ranges::stable_sort(order, [&](std::size_t i, std::size_t j) { return votes[i].places > votes[j].places; });
     int refined = 0;
     for (const std::size_t i : order) {
         if (votes[i].places < 3 || refined == most_refined) break;
-        if (std::ranges::any_of(found, [&](const Hypothesis& h) {
+        if (spared(i) || std::ranges::any_of(found, [&](const Hypothesis& h) {
                 return h.places >= votes[i].places && refinement.agrees(matches[i], h);
             }))
             continue;
-        const Hypothesis h = refinement.refine(voting.voters(i, votes[i].turn), turned(matches[i], votes[i].turn));
-        if (h.places >= 3) found.push_back(h);
+        refine(i, votes[i]);
         ++refined;
     }
     std::ranges::stable_sort(found, better);

@@ -32,9 +32,9 @@ struct Hypothesis {
 /// Concept: a match alone fixes the transform through its frames but for a small turn about its normal, which its
 /// orientations leave open, and a small tilt. (1) Voting: every match is asked in turn. Each other match that keeps
 /// distance, height and normal says within which turns it would agree; the turn that the most places share follows from
-/// sorting the ends of these intervals. This is exhaustive: matches x matches, nothing is drawn, nothing left out. (2)
-/// Refinement, most promising first: a robust rigid fit to those that voted for the turn, then to all that agree, until
-/// they no longer change. A match that already belongs to a transform at least as good as it promised is passed over.
+/// sorting the ends of these intervals: matches x matches, nothing is drawn at random. (2) Refinement, most promising
+/// first: a robust rigid fit to those that voted for the turn, then to all that agree, until they no longer change. A
+/// match that agrees with the best transform so far is passed over: a better one has members that do not.
 std::vector<Hypothesis> find_consensus(std::span<const FramedMatch> matches, const ConsensusOptions& options, int keep,
                                        int threads);
 

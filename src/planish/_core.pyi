@@ -43,6 +43,34 @@ def rasterise_chart(
 def chart_surface(
     source: F32, points: F32, normals: F32, nodes: F32, step: int, threads: int
 ) -> tuple[F32, F32, F32]: ...
+def sample_chart(value: F32, sigma: F32, source: F32, interpolated: float, threads: int) -> tuple[F32, F32]: ...
+def block_sums(image: F32, low: float, high: float, factor: int, threads: int) -> tuple[F32, F32]: ...
+def camera_contrast(
+    images: Sequence[F32],
+    ranges: Sequence[tuple[float, float]],
+    inverse_level: Sequence[F32],
+    weight: Sequence[F32],
+    noise: Sequence[F32],
+    factor: int,
+    limit: float,
+    threads: int,
+) -> tuple[F32, F32]: ...
+def add_to_pattern(value: F32, weight: F32, factor: int, sum: F32, weights: F32, threads: int) -> None: ...
+def remove_pattern(
+    value: F32,
+    variance: F32,
+    own: F32,
+    sum: F32,
+    weight: F32,
+    prior: F32,
+    still: F32,
+    gain: F32,
+    factor: int,
+    threads: int,
+) -> tuple[F32, F32]: ...
+def merge_contrasts(
+    views: Sequence[tuple[F32, F32, F32, F32, F32]], valid: U8, factor: int, threads: int
+) -> tuple[F32, F32]: ...
 def find_consensus(
     points_a: F64,
     points_b: F64,

@@ -186,6 +186,14 @@ class Measurement:
         """Pixels (H, W) that hold a point."""
         return np.asarray(np.isfinite(self.points_sensor[..., 2]))
 
+    @cached_property
+    def sample_distance_mm(self) -> float:
+        """Median distance on the surface between neighbouring pixels [mm per pixel]; NaN where there are none."""
+        steps = np.diff(self.points_sensor[::4].astype(np.float64), axis=1)
+        lengths = np.sqrt(np.einsum("hwi,hwi->hw", steps, steps))
+        lengths = lengths[np.isfinite(lengths)]
+        return float(np.median(lengths)) if lengths.size else float("nan")
+
     @property
     def shape(self) -> tuple[int, int]:
         """(H, W) of the pixel grid."""

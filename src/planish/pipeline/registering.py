@@ -29,6 +29,8 @@ from planish.registration.pair import (
     register_pair,
 )
 from planish.registration.result import PairResult, Registration
+from planish.registration.texture.camera_pattern import FixedPattern
+from planish.registration.texture.fixed_pattern import estimate_fixed_patterns
 
 Item = TypeVar("Item")
 Value = TypeVar("Value")
@@ -104,7 +106,8 @@ def register_run(
     ordered = _checked(measurements, reference)
     # Lengths that the user did not set follow the resolution of the data.
     options, pitch = options.scaled(length_factor(common_gsd(ordered))), common_pitch(ordered)
-    prepared = _prepare_all(ordered, pitch, options, count, say)
+    fixed = estimate_fixed_patterns(ordered, options.photometric, count)
+    prepared = _prepare_all(ordered, fixed, pitch, options, count, say)
     pairs = _register_pairs(prepared, options, count, say)
     overlaps = _evaluate_pairs(prepared, pairs, count, say)
     pairs = [_with_overlap(pair, overlaps.get((pair.a, pair.b))) for pair in pairs]
@@ -156,9 +159,17 @@ def _parallel(
 
 
 def _prepare_all(
-    measurements: Sequence[Measurement], pitch_mm: float, options: PairOptions, threads: int, say: Progress
+    measurements: Sequence[Measurement],
+    fixed: Mapping[str, FixedPattern],
+    pitch_mm: float,
+    options: PairOptions,
+    threads: int,
+    say: Progress,
 ) -> dict[str, Prepared]:
-    found = _parallel(measurements, lambda m, own: prepare(m, pitch_mm, options, own), "texture", threads, say)
+    def one(measurement: Measurement, own: int) -> Prepared:
+        return prepare(measurement, pitch_mm, options, own, fixed.get(measurement.name))
+
+    found = _parallel(measurements, one, "texture", threads, say)
     return {p.measurement.name: p for p in found}
 
 

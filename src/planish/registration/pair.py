@@ -26,6 +26,7 @@ from planish.registration.refine.residuals import JointSide, held_out_pixels, jo
 from planish.registration.refine.solve import Refined, RefineOptions, refine
 from planish.registration.result import PairResult
 from planish.registration.surface import Surface, SurfaceOptions, fit_surface
+from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.charts import ChartOptions
 from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
@@ -103,12 +104,19 @@ def length_factor(gsd_mm: float) -> float:
 
 
 def prepare(
-    measurement: Measurement, pitch_mm: float, options: PairOptions | None = None, threads: int | None = None
+    measurement: Measurement,
+    pitch_mm: float,
+    options: PairOptions | None = None,
+    threads: int | None = None,
+    fixed: FixedPattern | None = None,
 ) -> Prepared:
-    """Return surface, texture images, keypoints and refinement maps of one measurement."""
+    """Return surface, texture images, keypoints and refinement maps of one measurement.
+
+    `fixed` is the pattern of its sensor (`estimate_fixed_patterns`), which is no texture.
+    """
     options = options or PairOptions()
     surface = fit_surface(measurement, options.surface, threads)
-    contrast = local_contrast(measurement, options.photometric, surface, threads)
+    contrast = local_contrast(measurement, options.photometric, surface, fixed, threads)
     images = texture_images(measurement, surface, contrast, pitch_mm, options.charts, threads)
     keypoints = detect_keypoints(images, options.keypoints)
     kept = ~held_out_pixels(measurement)

@@ -15,9 +15,7 @@ MIN_TILES = 24
 
 def ground_sample_distance(measurement: Measurement) -> float:
     """Return the median distance on the surface between neighbouring pixels [mm per pixel]."""
-    points = measurement.points_sensor[::4].astype(np.float64)
-    steps = np.linalg.norm(np.diff(points, axis=1), axis=2)
-    return float(np.nanmedian(steps)) if np.isfinite(steps).any() else float("nan")
+    return measurement.sample_distance_mm
 
 
 def tile_size_px(measurement: Measurement) -> int:

@@ -1,0 +1,112 @@
+// Bindings of the texture kernels.
+
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/vector.h>
+
+#include <utility>
+#include <vector>
+
+#include "bindings/arrays.hpp"
+#include "bindings/bindings.hpp"
+#include "core/contrast.hpp"
+#include "core/fixed_pattern.hpp"
+
+namespace {
+
+using Maps = std::vector<In<float, 2>>;
+
+std::vector<planish::Image<const float>> views(const Maps& maps) {
+    std::vector<planish::Image<const float>> out;
+    out.reserve(maps.size());
+    for (const auto& map : maps) out.push_back(view<float, 2>(map));
+    return out;
+}
+
+nb::tuple block_sums(const In<float, 2>& image, float low, float high, int factor, int threads) {
+    const auto in = view<float, 2>(image);
+    const int height = (in.height + factor - 1) / factor, width = (in.width + factor - 1) / factor;
+    Owned<float> sum(height, width, 1), count(height, width, 1);
+    {
+        nb::gil_scoped_release release;
+        planish::block_sums({in, low, high}, factor, threads, sum.image, count.image);
+    }
+    return nb::make_tuple(sum.map(), count.map());
+}
+
+/// K images with their ranges (low, high); per image inverse level and weight; K x K maps of the noise.
+nb::tuple camera_contrast(const Maps& images, const std::vector<std::pair<float, float>>& ranges,
+                          const Maps& inverse_level, const Maps& weight, const Maps& noise, int factor, float limit,
+                          int threads) {
+    std::vector<planish::Exposed> exposed;
+    for (std::size_t k = 0; k < images.size(); ++k)
+        exposed.push_back({view<float, 2>(images[k]), ranges[k].first, ranges[k].second});
+    const planish::ContrastPlan plan{views(inverse_level), views(weight), views(noise), factor, limit};
+    Owned<float> value(exposed[0].image.height, exposed[0].image.width, 1);
+    Owned<float> variance(exposed[0].image.height, exposed[0].image.width, 1);
+    {
+        nb::gil_scoped_release release;
+        planish::camera_contrast(exposed, plan, threads, value.image, variance.image);
+    }
+    return nb::make_tuple(value.map(), variance.map());
+}
+
+/// Per view (value, variance, place, shading, trust); `place` of size 0: the organising camera itself.
+nb::tuple merge_contrasts(const nb::list& views, const In<std::uint8_t, 2>& valid, int factor, int threads) {
+    std::vector<planish::ContrastView> parts;
+    for (const auto& item : views) {
+        const auto maps = nb::cast<nb::tuple>(item);
+        const auto map = [&](int i) { return view<float, 2>(nb::cast<In<float, 2>>(maps[i])); };
+        const auto place = nb::cast<In<float, 3>>(maps[2]);
+        parts.push_back(
+            {map(0), map(1), place.size() > 0 ? view<float, 3>(place) : planish::Image<const float>{}, map(3), map(4)});
+    }
+    const auto points = view<std::uint8_t, 2>(valid);
+    Owned<float> value(points.height, points.width, 1), sigma(points.height, points.width, 1);
+    {
+        nb::gil_scoped_release release;
+        planish::merge_contrasts(parts, points, factor, threads, value.image, sigma.image);
+    }
+    return nb::make_tuple(value.map(), sigma.map());
+}
+
+using Sums = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
+
+planish::Image<float> writable(const Sums& map) {
+    return {map.data(), static_cast<int>(map.shape(0)), static_cast<int>(map.shape(1)), 1};
+}
+
+/// `sum` and `weights` are changed in place.
+void add_to_pattern(const In<float, 2>& value, const In<float, 2>& weight, int factor, const Sums& sum,
+                    const Sums& weights, int threads) {
+    const auto sums = writable(sum), totals = writable(weights);
+    nb::gil_scoped_release release;
+    planish::add_to_pattern(view<float, 2>(value), view<float, 2>(weight), factor, threads, sums, totals);
+}
+
+/// `own` of size 0: the contrast took no part in the sums.
+nb::tuple remove_pattern(const In<float, 2>& value, const In<float, 2>& variance, const In<float, 2>& own,
+                         const In<float, 2>& sum, const In<float, 2>& weight, const In<float, 2>& prior,
+                         const In<float, 2>& still, const In<float, 2>& gain, int factor, int threads) {
+    const auto in = view<float, 2>(value);
+    Owned<float> corrected(in.height, in.width, 1), uncertain(in.height, in.width, 1);
+    {
+        nb::gil_scoped_release release;
+        const planish::PatternKnowledge known{view<float, 2>(sum),   view<float, 2>(weight), view<float, 2>(prior),
+                                              view<float, 2>(still), view<float, 2>(gain),   factor};
+        const auto mine = own.size() > 0 ? view<float, 2>(own) : planish::Image<const float>{};
+        planish::remove_pattern(in, view<float, 2>(variance), mine, known, threads, corrected.image, uncertain.image);
+    }
+    return nb::make_tuple(corrected.map(), uncertain.map());
+}
+
+}  // namespace
+
+void bind_texture(nb::module_& m) {
+    m.def("block_sums", &block_sums, "image"_a, "low"_a, "high"_a, "factor"_a, "threads"_a);
+    m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "inverse_level"_a, "weight"_a, "noise"_a,
+          "factor"_a, "limit"_a, "threads"_a);
+    m.def("add_to_pattern", &add_to_pattern, "value"_a, "weight"_a, "factor"_a, "sum"_a, "weights"_a, "threads"_a);
+    m.def("remove_pattern", &remove_pattern, "value"_a, "variance"_a, "own"_a, "sum"_a, "weight"_a, "prior"_a,
+          "still"_a, "gain"_a, "factor"_a, "threads"_a);
+    m.def("merge_contrasts", &merge_contrasts, "views"_a, "valid"_a, "factor"_a, "threads"_a);
+}

@@ -1,0 +1,170 @@
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <vector>
+
+#include "core/chart.hpp"
+#include "core/cubic.hpp"
+#include "core/parallel.hpp"
+
+namespace planish {
+namespace {
+
+/// Chart pixels larger than so many map pixels are sampled as if they were of this size.
+constexpr float kMaxStretch = 4.0F;
+constexpr int kMaxTaps = 2 * static_cast<int>(2 * kMaxStretch) + 2;
+/// Kernels of so many taps are the rule; loops over a fixed number vectorise.
+constexpr int kFewTaps = 8;
+/// Kernels are made for so many places per pixel, and for widths in such parts of a pixel.
+constexpr int kPlaces = 256, kWidths = 8;
+/// Share of the kernel's weight that may lack.
+constexpr float kMinWeight = 0.75F;
+
+/// Correlation of white noise at 1, 2, 3 pixels after cubic convolution, over all places between pixels:
+/// autocorrelation of the kernel.
+constexpr float kCorrelation[] = {0.1557F, -0.0439F, 0.0022F};
+
+/// The kernel for a place between two pixels.
+struct Taps {
+    int first = 0, count = 0;     ///< relative to the pixel before the place
+    float weight[kMaxTaps] = {};  ///< 0 beyond `count`
+    float gain = 1;               ///< of the variance, where the noise was read between pixels before
+
+    Taps() = default;
+    Taps(float place, float stretch) {
+        first = static_cast<int>(std::ceil(place - 2 * stretch));
+        count = std::min(kMaxTaps, static_cast<int>(std::floor(place + 2 * stretch)) - first + 1);
+        float sum = 0, squares = 0, products = 0;
+        for (int k = 0; k < count; ++k)
+            sum += weight[k] = cubic_weight((static_cast<float>(first + k) - place) / stretch);
+        for (int k = 0; k < count; ++k) weight[k] /= sum;
+        for (int k = 0; k < count; ++k) {
+            squares += weight[k] * weight[k];
+            for (int lag = 1; lag <= 3 && k + lag < count; ++lag)
+                products += 2 * kCorrelation[lag - 1] * weight[k] * weight[k + lag];
+        }
+        gain = 1 + products / squares;
+    }
+};
+
+/// The kernels of all places and widths.
+class Kernels {
+  public:
+    Kernels() : taps_(static_cast<std::size_t>(kPlaces) * kStretches) {
+        for (int s = 0; s < kStretches; ++s)
+            for (int f = 0; f < kPlaces; ++f)
+                taps_[static_cast<std::size_t>(s) * kPlaces + f] =
+                    Taps(static_cast<float>(f) / kPlaces, 1.0F + static_cast<float>(s) / kWidths);
+    }
+
+    /// The kernel, and the pixel that it is relative to.
+    [[nodiscard]] const Taps& at(float place, float stretch, int& pixel) const {
+        const int fine = static_cast<int>(place * kPlaces + 0.5F),
+                  wide = static_cast<int>((stretch - 1) * kWidths + 0.5F);
+        pixel = fine / kPlaces;
+        return taps_[static_cast<std::size_t>(wide) * kPlaces + (fine - pixel * kPlaces)];
+    }
+
+  private:
+    static constexpr int kStretches = static_cast<int>((kMaxStretch - 1) * kWidths) + 1;
+    std::vector<Taps> taps_;
+};
+
+/// Map pixels per chart pixel along one axis of the map, at least 1. Of both neighbours the nearer one counts: the
+/// other may lie beyond a jump.
+float stretch_at(const Image<const float>& source, int y, int x, int axis) {
+    const auto step = [&](int dy, int dx) {
+        float nearest = kMaxStretch;
+        for (const int sign : {-1, 1}) {
+            const int row = y + sign * dy, column = x + sign * dx;
+            if (row < 0 || row >= source.height || column < 0 || column >= source.width) continue;
+            const float d = std::fabs(source.at(row, column)[axis] - source.at(y, x)[axis]);
+            if (d < nearest) nearest = d;  // false for NaN
+        }
+        return nearest;
+    };
+    return std::max({1.0F, step(0, 1), step(1, 0)});
+}
+
+/// Sums over a kernel: weighted values, weights, squared weighted errors.
+struct Sums {
+    float value = 0, weight = 0, squares = 0;
+};
+
+/// The kernel's window: its first row and column, and its weights along both.
+struct Window {
+    int top, left;
+    const Taps &down, &across;
+};
+
+/// Inside the map and without gaps; NaN where there is one.
+Sums read_whole(const Image<const float>& value, const Image<const float>& sigma, const Window& w) {
+    float values[kFewTaps] = {}, squares[kFewTaps] = {};
+    for (int j = 0; j < w.down.count; ++j) {
+        const float* __restrict line = value.at(w.top + j, w.left);
+        const float* __restrict errors = sigma.at(w.top + j, w.left);
+        const float weight = w.down.weight[j];
+        for (int i = 0; i < kFewTaps; ++i) {
+            values[i] += weight * line[i];
+            squares[i] += (weight * errors[i]) * (weight * errors[i]);
+        }
+    }
+    Sums sums{0, 1, 0};
+    for (int i = 0; i < kFewTaps; ++i) {
+        sums.value += w.across.weight[i] * values[i];
+        sums.squares += w.across.weight[i] * w.across.weight[i] * squares[i];
+    }
+    return sums;
+}
+
+/// What is known of the kernel's window.
+Sums read_known(const Image<const float>& value, const Image<const float>& sigma, const Window& w) {
+    Sums sums;
+    for (int j = std::max(0, -w.top); j < std::min(w.down.count, value.height - w.top); ++j)
+        for (int i = std::max(0, -w.left); i < std::min(w.across.count, value.width - w.left); ++i) {
+            const float grey = *value.at(w.top + j, w.left + i), error = *sigma.at(w.top + j, w.left + i);
+            if (!(grey == grey && error == error)) continue;
+            const float weight = w.down.weight[j] * w.across.weight[i];
+            sums.value += weight * grey;
+            sums.weight += weight;
+            sums.squares += (weight * error) * (weight * error);
+        }
+    return sums;
+}
+
+Sums read(const Image<const float>& value, const Image<const float>& sigma, const Window& w) {
+    if (w.across.count <= kFewTaps && w.left >= 0 && w.left + kFewTaps <= value.width && w.top >= 0 &&
+        w.top + w.down.count <= value.height) {
+        const Sums sums = read_whole(value, sigma, w);
+        if (sums.value == sums.value && sums.squares == sums.squares) return sums;
+    }
+    return read_known(value, sigma, w);
+}
+
+}  // namespace
+
+void sample_chart(const Image<const float>& value, const Image<const float>& sigma, const Image<const float>& source,
+                  float interpolated, int threads, const Image<float>& out_value, const Image<float>& out_sigma) {
+    constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+    const auto right = static_cast<float>(value.width - 1), bottom = static_cast<float>(value.height - 1);
+    const Kernels kernels;
+    parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {
+        for (auto y = static_cast<int>(first); y < static_cast<int>(last); ++y)
+            for (int x = 0; x < source.width; ++x) {
+                float& sampled = *out_value.at(y, x);
+                float& deviation = *out_sigma.at(y, x);
+                sampled = deviation = nan;
+                const float *place = source.at(y, x), u = place[0], v = place[1];
+                if (!(u >= 0 && v >= 0 && u <= right && v <= bottom)) continue;  // NaN: no surface
+                int row = 0, column = 0;
+                const Taps& across = kernels.at(u, stretch_at(source, y, x, 0), column);
+                const Taps& down = kernels.at(v, stretch_at(source, y, x, 1), row);
+                const Sums sums = read(value, sigma, {row + down.first, column + across.first, down, across});
+                if (sums.weight < kMinWeight) continue;
+                sampled = sums.value / sums.weight;
+                deviation = std::sqrt(sums.squares * (1 + interpolated * (across.gain * down.gain - 1))) / sums.weight;
+            }
+    });
+}
+
+}  // namespace planish

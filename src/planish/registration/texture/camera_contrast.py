@@ -1,0 +1,233 @@
+"""The contrast that one camera saw, on its own pixel grid: all kinds of its images, combined by their noise.
+
+Mean of the fringe images, white and modulation hold the same texture, the same pattern of the sensor and different
+noise. Mean and modulation are computed from the same images: their noise is correlated where it grows with the light.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planish import _core
+from planish.measurement import Map, NoiseModel, View
+from planish.registration.texture.lowpass import Lowpass
+
+#: Grey values below so many standard deviations of their noise hold no texture.
+_MIN_SIGMAS = 3.0
+#: Pixels at which kinds of images are compared, about, and the fewest that say anything.
+_COMPARED, _MIN_COMPARED = 20_000, 400
+#: Standard deviation over the median absolute deviation of normal errors.
+_PER_MAD = 1.4826
+#: White images below this share of saturation certainly are not.
+_UNSATURATED = 0.9
+#: Every so many pixels tell the dark image.
+_SPARSE = 8
+#: The covariance of two kinds is held below the smaller variance, so that no weight is negative.
+_MAX_COVARIANCE = 0.9
+
+
+@dataclass(frozen=True)
+class CameraContrast:
+    """Contrast of one camera on its own grid.
+
+    Parameters
+    ----------
+    value : ndarray (H, W) float32
+        Relative deviation of the grey value from its low-pass; NaN where no image is usable.
+    variance : ndarray (H, W) float32
+        Variance of its noise.
+    level : ndarray (h, w) float32
+        Low-pass of the brightness at blocks; NaN where unknown.
+    room_share : ndarray (h, w) float32
+        Share of the light that is not the projector's, as the combination holds it.
+    """
+
+    value: Map
+    variance: Map
+    level: Map
+    room_share: Map
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """One kind of image: grey values with their usable range, low-pass (h, w), variance (h, w) of the contrast."""
+
+    image: Map
+    low: float
+    high: float
+    level: Map
+    variance: Map
+
+
+def camera_contrast(view: View, lowpass: Lowpass, limit: float) -> CameraContrast:
+    """Return the contrast of a view, clipped at +-`limit`."""
+    kinds = _kinds(view, lowpass)
+    names = list(kinds)
+    covariance = _covariance(view, kinds)
+    kinds = _with_unexplained(kinds, covariance)
+    weights = _weights(kinds, covariance)
+    zero = np.zeros_like(weights[0])
+
+    def noise(a: str, b: str) -> Map:
+        if a == b:
+            return np.nan_to_num(kinds[a].variance)
+        return zero if covariance is None or "white" in (a, b) else np.nan_to_num(covariance)
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = [np.where(k.level > 0, 1 / k.level, np.float32(0)) for k in kinds.values()]
+    value, variance = _core.camera_contrast(
+        [np.ascontiguousarray(k.image, np.float32) for k in kinds.values()],
+        [(k.low, k.high) for k in kinds.values()],
+        inverse,
+        weights,
+        [noise(a, b) * np.float32(lowpass.noise_left) for a in names for b in names],
+        lowpass.factor,
+        limit,
+        lowpass.threads,
+    )
+    return CameraContrast(
+        value, variance, kinds[names[0]].level, _room_share(kinds, dict(zip(names, weights, strict=True)))
+    )
+
+
+def _kinds(view: View, lowpass: Lowpass) -> dict[str, _Kind]:
+    """Return the images that hold texture, mean first, each with the variance that the camera's noise gives it."""
+    dark, images = _dark_limit(view.noise), float(view.mean_images or 1)
+    kinds: dict[str, _Kind] = {}
+    if view.mean is not None:
+        kinds["mean"] = _kind(view.mean, (dark, np.inf), view.noise, 1 / images, lowpass)
+    if view.white is not None:
+        limits = (dark, _white_limit(view))
+        kinds["white"] = _kind(view.white, limits, view.noise, 1.0, lowpass)
+    if view.mean is not None and view.modulation is not None:
+        # Amplitude of N phase steps: 2 / N of the variance of one of them, at the mean light.
+        light = kinds["mean"].level
+        found = _kind(view.modulation, (dark, np.inf), view.noise, 2 / images, lowpass, light)
+        loss = _saturation_loss(light, found.level, view.saturation)
+        kinds["modulation"] = replace(found, variance=found.variance * loss)
+        kinds["mean"] = replace(kinds["mean"], variance=kinds["mean"].variance * loss)
+    return kinds
+
+
+def _kind(
+    image: Map, limits: tuple[float, float], noise: NoiseModel, share: float, lowpass: Lowpass, light: Map | None = None
+) -> _Kind:
+    level = lowpass(image, *limits)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = noise.variance(level if light is None else light) * np.float32(share) / level**2
+    return _Kind(image, *limits, level, np.where(level > 0, variance, np.float32(np.nan)).astype(np.float32))
+
+
+def _white_limit(view: View) -> float:
+    """Return the grey value from which the white image may be saturated: a dark image was subtracted from it.
+
+    The dark image is what the mean of the fringe images exceeds half of white by.
+    """
+    if view.mean is None or view.white is None:
+        return view.saturation
+    white, mean = (m[_SPARSE // 2 :: _SPARSE, _SPARSE // 2 :: _SPARSE] for m in (view.white, view.mean))
+    dark = np.maximum(mean - white / 2, 0)
+    dark = dark[np.isfinite(dark) & (white < _UNSATURATED * view.saturation)]
+    if dark.size == 0:
+        return view.saturation
+    # At most places; the dark image's own noise comes on top.
+    least = float(np.percentile(dark, 95))
+    return view.saturation - least - _MIN_SIGMAS * float(np.sqrt(view.noise.offset + view.noise.slope * least))
+
+
+def _saturation_loss(mean: Map, amplitude: Map, saturation: float) -> Map:
+    """Return the factor (h, w) on the variance of mean and amplitude where saturated steps are left out.
+
+    Of four steps one comes within 45 degrees of the crest. Where it is left out, the mean of the two beside it, with
+    twice the variance, tells the mean of all; more steps lose less.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crest = np.arccos(np.clip((saturation - mean) / amplitude, -1, 1))
+    return np.asarray(1 + np.nan_to_num(np.clip(crest / (np.pi / 4), 0, 1)), np.float32)
+
+
+def _dark_limit(noise: NoiseModel) -> float:
+    """Return the grey value that is `_MIN_SIGMAS` of its own standard deviations."""
+    half = 0.5 * _MIN_SIGMAS**2 * noise.slope
+    return float(half + np.sqrt(half**2 + _MIN_SIGMAS**2 * max(noise.offset, 0.0)))
+
+
+def _covariance(view: View, kinds: dict[str, _Kind]) -> Map | None:
+    """Covariance (h, w) of the noise of mean and modulation, or None.
+
+    A = sum I_k / N, B = 2 / N sum I_k cos(phi - 2 pi k / N), var I_k = offset + slope I_k: cov(A, B) = slope B / N.
+    """
+    if "modulation" not in kinds:
+        return None
+    mean, modulation = kinds["mean"], kinds["modulation"]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        # Both contrasts: over A and over B.
+        covariance = np.float32(view.noise.slope / view.mean_images) / mean.level
+    return np.minimum(covariance, _MAX_COVARIANCE * np.fmin(mean.variance, modulation.variance)).astype(np.float32)
+
+
+def _with_unexplained(kinds: dict[str, _Kind], covariance: Map | None) -> dict[str, _Kind]:
+    """Raise the variance of every further kind by what its difference to the first shows beyond the stated noise.
+
+    Texture and sensor pattern cancel in the difference. What is left over is what the noise model does not know: a
+    subtracted dark image, residual fringes of a gamma, modulation that was not computed from phase steps.
+    """
+    names = list(kinds)
+    first, out = kinds[names[0]], dict(kinds)
+    for name in names[1:]:
+        other = kinds[name]
+        common = covariance if name == "modulation" and covariance is not None else np.float32(0)
+        expected = first.variance + other.variance - 2 * common
+        excess = _excess(first, other, expected)
+        out[name] = _Kind(other.image, other.low, other.high, other.level, other.variance + excess * expected)
+    return out
+
+
+def _excess(first: _Kind, other: _Kind, expected: Map) -> np.float32:
+    """Return by what share the variance of the difference of two kinds exceeds the expected (h, w); 0 where unknown."""
+    height, width = first.image.shape
+    factor = -(-height // expected.shape[0])
+    step = max(1, round(np.sqrt(height * width / _COMPARED)))
+    rows, columns = (np.arange(step // 2, n, step) for n in (height, width))
+    blocks = np.ix_(np.minimum(rows // factor, expected.shape[0] - 1), columns // factor)
+    ratios = []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for kind in (first, other):
+            grey = kind.image[np.ix_(rows, columns)]
+            ratios.append(
+                np.where((grey > kind.low) & (grey < kind.high), grey / kind.level[blocks], np.float32(np.nan))
+            )
+        normal = (ratios[1] - ratios[0]) / np.sqrt(expected[blocks])
+    normal = normal[np.isfinite(normal)]
+    if normal.size < _MIN_COMPARED:
+        return np.float32(0)
+    deviation = _PER_MAD * float(np.median(np.abs(normal - np.median(normal))))
+    return np.float32(max(0.0, deviation**2 - 1.0))
+
+
+def _weights(kinds: dict[str, _Kind], covariance: Map | None) -> list[Map]:
+    """Weights (h, w) of the least variance, their sum 1: C^-1 1 for the covariance C of the kinds; 0 where unknown."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = {name: 1 / kind.variance for name, kind in kinds.items()}
+        if covariance is not None:
+            mean, modulation = kinds["mean"].variance, kinds["modulation"].variance
+            held = np.minimum(covariance, np.fmin(mean, modulation))
+            determinant = mean * modulation - held**2
+            both = np.isfinite(determinant) & (determinant > 0)
+            found["mean"] = np.where(both, (modulation - held) / determinant, found["mean"])
+            found["modulation"] = np.where(both, (mean - held) / determinant, found["modulation"])
+    found = {name: np.nan_to_num(weight, nan=0.0, posinf=0.0).astype(np.float32) for name, weight in found.items()}
+    total = np.maximum(sum(found.values(), start=np.float32(0)), np.float32(1e-30))
+    return [(weight / total).astype(np.float32) for weight in found.values()]
+
+
+def _room_share(kinds: dict[str, _Kind], weights: dict[str, Map]) -> Map:
+    """Share (h, w) of light that is not the projector's: mean = room light + half of white (less dark)."""
+    if "mean" not in kinds or "white" not in kinds:
+        return np.zeros_like(next(iter(weights.values())))
+    mean, white = kinds["mean"].level, kinds["white"].level
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.clip((mean - white / 2) / mean, 0, 1) * weights["mean"]
+    return np.nan_to_num(share).astype(np.float32)

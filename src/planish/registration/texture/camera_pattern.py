@@ -1,0 +1,115 @@
+"""What is fixed to a camera's pixels, as far as the captures of a run tell, and its removal from a contrast."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from planish import _core
+from planish.measurement import Map, Measurement
+
+#: Blocks [px] at which everything that belongs to the pattern's statistics is kept.
+BLOCK_PX = 4
+#: The variance of a contrast is averaged with a Gaussian of this deviation [blocks].
+_VARIANCE_BLOCKS = 2.0
+#: Contrasts are never weighted as if they varied less than this (rms).
+_MIN_DEVIATION = 1e-4
+
+
+@dataclass(frozen=True)
+class CameraPattern:
+    """The relative gain of one camera's pixels: sums over captures, and what is known of the pattern beforehand.
+
+    The sums are kept, not the gain, so that each capture can be corrected by all the others: its own texture and noise
+    stay out of its correction.
+
+    Parameters
+    ----------
+    weighted_sum, weight : ndarray (H, W) float32
+        Sum over captures of contrast / variance and 1 / variance.
+    prior : ndarray (h, w) float32
+        Variance of the pattern around each block.
+    still : ndarray (h, w) float32
+        Variance of texture that stood still, too: background, repeated captures of one place.
+    gain : ndarray (h, w) float32
+        Information per `weight`, which counts the pattern itself as noise.
+    """
+
+    weighted_sum: Map
+    weight: Map
+    prior: Map
+    still: Map
+    gain: Map
+
+    def remove(self, value: Map, variance: Map, own: Map | None, threads: int) -> tuple[Map, Map]:
+        """Return contrast and variance (H, W) without the pattern; what stays uncertain of it is added to the variance.
+
+        `own` (h, w) are the weights with which the contrast took part in the sums, None where it did not.
+        """
+        return _core.remove_pattern(
+            value, variance, np.empty((0, 0), np.float32) if own is None else own, self.weighted_sum, self.weight,
+            self.prior, self.still, self.gain, BLOCK_PX, threads,
+        )  # fmt: skip
+
+    def estimate(self, threads: int = 1) -> tuple[Map, Map]:
+        """Return relative gain - 1 by all captures together, and its standard deviation, each (H, W)."""
+        nothing = np.zeros_like(self.weight)
+        value, variance = self.remove(nothing, nothing, None, threads)
+        return -value, np.sqrt(variance)
+
+
+@dataclass(frozen=True)
+class FixedPattern:
+    """The patterns of the cameras of one sensor, and the names of the captures they were estimated from."""
+
+    cameras: Mapping[str, CameraPattern]
+    members: frozenset[str]
+
+    def remove(self, measurement: Measurement, camera: str, value: Map, variance: Map, threads: int) -> tuple[Map, Map]:
+        """Return contrast and variance (H, W) of a measurement's camera without the pattern."""
+        if camera not in self.cameras:
+            return value, variance
+        own = None
+        if measurement.name in self.members:
+            own = pattern_weights(value, threads) * counted_blocks(measurement, camera)
+        return self.cameras[camera].remove(value, variance, own, threads)
+
+
+def block_moments(value: Map, threads: int) -> tuple[Map, Map]:
+    """Return sum of squares and number (h, w) of the known pixels of a map (H, W) per block."""
+    return _core.block_sums(value * value, -np.inf, np.inf, BLOCK_PX, threads)
+
+
+def pattern_weights(value: Map, threads: int) -> Map:
+    """Return 1 / variance (h, w) of a contrast (H, W) around each block: texture, pattern and noise together."""
+    squares, count = (
+        cv2.GaussianBlur(m, (0, 0), _VARIANCE_BLOCKS, borderType=cv2.BORDER_CONSTANT)
+        for m in block_moments(value, threads)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = np.maximum(squares / count, np.float32(_MIN_DEVIATION**2))
+        weights = np.where(count > 0, 1 / variance, np.float32(0))
+    return np.asarray(weights, np.float32)
+
+
+def counted_blocks(measurement: Measurement, camera: str) -> Map:
+    """Return 1 for the blocks (h, w) of a camera that see measured points, 0 for the rest.
+
+    Of what holds no points nobody knows whether it stood still.
+    """
+    width, height = measurement.rig.cameras[camera].size_px
+    shape = (-(-height // BLOCK_PX), -(-width // BLOCK_PX))
+    if camera == measurement.organised_on:
+        hit = np.pad(measurement.valid, [(0, n * BLOCK_PX - m) for n, m in zip(shape, (height, width), strict=True)])
+        return np.asarray(hit.reshape(shape[0], BLOCK_PX, shape[1], BLOCK_PX).any((1, 3)), np.float32)
+    assert measurement.correspondence_px is not None
+    places = measurement.correspondence_px[::BLOCK_PX, ::BLOCK_PX].reshape(-1, 2)
+    places = places[np.isfinite(places[:, 0])]
+    column, row = ((places[:, i].clip(0, n - 1) / BLOCK_PX).astype(np.intp) for i, n in enumerate((width, height)))
+    hit = np.zeros(shape, np.float32)
+    hit[row, column] = 1
+    # The samples are a block apart, give or take the perspective.
+    return cv2.dilate(hit, np.ones((3, 3), np.uint8))

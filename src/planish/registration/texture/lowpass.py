@@ -1,0 +1,85 @@
+"""A low-pass on blocks of pixels: what changes slowly over an image is computed on a small one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from planish import _core
+from planish.measurement import Map
+
+#: Blocks are so small that the low-pass's deviation is this many of them: it holds no finer detail.
+_SIGMA_BLOCKS = 2.0
+#: Share of the window that must be known.
+_MIN_DENSITY = 1e-3
+
+
+@dataclass(frozen=True)
+class Lowpass:
+    """Gaussian low-pass of deviation `sigma_px` of images (H, W), given at blocks (h, w) of `factor` pixels."""
+
+    sigma_px: float
+    factor: int
+    threads: int
+
+    @classmethod
+    def of(cls, sigma_px: float, threads: int) -> Lowpass:
+        """Return the low-pass with the largest blocks that it allows."""
+        return cls(sigma_px, max(1, round(sigma_px / _SIGMA_BLOCKS)), threads)
+
+    def __call__(self, image: Map, low: float = -np.inf, high: float = np.inf) -> Map:
+        """Return the mean (h, w) of the pixels with low < value < high around each block; NaN where there are none.
+
+        Normalised convolution (Knutsson and Westin 1993).
+        """
+        return self.ratio(*self.sums(image, low, high))
+
+    def sums(self, image: Map, low: float = -np.inf, high: float = np.inf) -> tuple[Map, Map]:
+        """Return sum and number (h, w) of the pixels with low < value < high per block; NaN never counts."""
+        return _core.block_sums(np.ascontiguousarray(image, np.float32), low, high, self.factor, self.threads)
+
+    def ratio(self, total: Map, weight: Map) -> Map:
+        """Return the low-pass of `total` over that of `weight` (h, w); NaN where there is too little weight."""
+        smooth, density = self.smooth(total), self.smooth(weight)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(density > _MIN_DENSITY * self.factor**2, smooth / density, np.float32(np.nan))
+
+    def smooth(self, blocks: Map) -> Map:
+        """Return blocks (h, w) smoothed by the Gaussian, 0 beyond the image."""
+        return cv2.GaussianBlur(blocks, (0, 0), self.sigma_px / self.factor, borderType=cv2.BORDER_CONSTANT)
+
+    def shape(self, image_shape: tuple[int, int]) -> tuple[int, int]:
+        """Return (h, w) for an image of (H, W)."""
+        return -(-image_shape[0] // self.factor), -(-image_shape[1] // self.factor)
+
+    def centres(self, image: Map) -> Map:
+        """Return every block's central pixel of an image (H, W) or (H, W, C)."""
+        half = self.factor // 2
+        h, w = self.shape((image.shape[0], image.shape[1]))
+        rows, columns = (
+            np.minimum(np.arange(n) * self.factor + half, size - 1)
+            for n, size in ((h, image.shape[0]), (w, image.shape[1]))
+        )
+        return image[np.ix_(rows, columns)]
+
+    @property
+    def noise_left(self) -> float:
+        """Share of a pixel's own variance that is left where the low-pass is taken from it: it holds the pixel, too."""
+        # |delta - g|^2 = 1 - 2 g(0) + |g|^2 with g(0) = 1 / (2 pi s^2), |g|^2 = 1 / (4 pi s^2).
+        return 1.0 - 3.0 / (4.0 * np.pi * max(self.sigma_px, 1.0) ** 2)
+
+
+def fill_gaps(blocks: Map, default: float) -> Map:
+    """Return blocks (h, w) with NaN replaced by the mean of known neighbours, two blocks far, then by `default`."""
+    filled = blocks.astype(np.float32)
+    for _ in range(2):
+        known = np.isfinite(filled)
+        if known.all():
+            return filled
+        count = cv2.blur(known.astype(np.float32), (3, 3), borderType=cv2.BORDER_REPLICATE)
+        total = cv2.blur(np.where(known, filled, np.float32(0)), (3, 3), borderType=cv2.BORDER_REPLICATE)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            filled = np.where(known, filled, np.where(count > 0, total / count, np.float32(np.nan)))
+    return np.nan_to_num(filled, nan=default)

@@ -1,0 +1,195 @@
+"""The variances that tell a sensor's pattern from texture and noise, from sums over captures."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.geometry import Array
+from planish.measurement import Map, Measurement
+from planish.registration.texture.camera_pattern import BLOCK_PX
+
+#: Windows (standard deviation of a Gaussian [blocks]) in which variances are told apart; the wide one for what is
+#: alike over the sensor or over large areas, the narrow one for dust.
+_WIDE_BLOCKS, _NARROW_BLOCKS = 8.0, 1.5
+#: Texture correlates over about so many pixels along each axis: windows hold as many fewer independent values.
+_CORRELATED_PX = 3.0
+#: Dust must exceed the chance of textures that happen to agree by so many standard deviations.
+_DUST_SIGMAS = 4.0
+#: From this share of still texture on, a place says nothing about the level of the pattern.
+_MAX_STILL = 0.5
+#: From this one on, it cannot be told from dust: beside still texture, windows mix both.
+_MAX_STILL_AT_DUST = 0.25
+#: Without this share of places that do, the level stays unknown: all captures are of one place.
+_MIN_TELLING = 0.2
+#: Largest share of the captures' variance that is taken for the pattern when their information is judged.
+_MAX_PATTERN_SHARE = 0.9
+
+
+@dataclass
+class Moments:
+    """Sums over captures per block (h, w), with the weights w of the captures."""
+
+    maps: dict[str, Array] = field(default_factory=dict)
+
+    def add(self, weight: Map, squares: Map, count: Map, noise: Map) -> None:
+        """Add a capture: its weight, sum of squared contrasts, number of pixels and sum of noise variances (h, w)."""
+        w = weight.astype(float)
+        _accumulate(
+            self.maps,
+            {"w": w * count, "ww": w**2 * count, "wcc": w * squares, "wwcc": w**2 * squares, "wn": w * noise},
+        )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of blocks (h, w)."""
+        h, w = self.maps["w"].shape
+        return h, w
+
+
+@dataclass
+class StillTexture:
+    """What two cameras have in common at corresponding pixels, in one capture and between captures.
+
+    Sums over captures, on every `BLOCK_PX`-th row of the organising camera. Without a second camera, its neighbours
+    take the place of the corresponding pixel: a lens makes texture continuous, not the response of pixels.
+    """
+
+    own: Map | None = None
+    other: Map | None = None
+    count: Map | None = None
+    maps: dict[str, Array] = field(default_factory=dict)
+    captures: int = 0
+
+    def add(self, measurement: Measurement, values: dict[str, Map], weight: Map) -> None:
+        """Add a capture: contrasts (H, W) by camera, weights (h, w) of the organising one."""
+        rows = slice(BLOCK_PX // 2, None, BLOCK_PX)
+        own = values[measurement.organised_on]
+        names = [name for name in values if name != measurement.organised_on]
+        place = measurement.correspondence_px
+        if names and place is not None:
+            u, v = (np.nan_to_num(np.ascontiguousarray(place[rows, :, i]), nan=-1e4) for i in (0, 1))
+            constant, unknown = cv2.BORDER_CONSTANT, float("nan")
+            other = cv2.remap(values[names[0]], u, v, cv2.INTER_LINEAR, borderMode=constant, borderValue=unknown)
+        else:
+            place = None
+            cross = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.float32) / 4
+            other = cv2.filter2D(own, -1, cross)[rows]
+        a, b = own[rows], other
+        w = np.repeat(weight[: len(a)], BLOCK_PX, axis=1)[:, : a.shape[1]]
+        known = np.isfinite(a) & np.isfinite(b) & (w > 0) & measurement.valid[rows]
+        a, b, w = (np.where(known, m, np.float32(0)) for m in (a, b, w))
+        if self.own is None or self.other is None or self.count is None:
+            self.own, self.other, self.count = (np.zeros_like(a) for _ in range(3))
+        # In units of its standard deviation, a strongly textured place counts no more than a weak one.
+        a, b = a * np.sqrt(w), b * np.sqrt(w)
+        self.own += a
+        self.other += b
+        self.count += known
+        self.captures += 1
+        sums: dict[str, NDArray[Any]] = {"product": _columns(a * b), "count": _columns(known)}
+        if place is not None:
+            at = place[rows, BLOCK_PX // 2 :: BLOCK_PX]
+            held = np.isfinite(at[..., 0])
+            sums |= {"seen": held, "u": np.where(held, at[..., 0], 0), "v": np.where(held, at[..., 1], 0)}
+        _accumulate(self.maps, sums)
+
+    def share(self, shape: tuple[int, int], own: bool) -> Array:
+        """Return the share (h, w) of the texture's variance that stood still, for a camera of h x w blocks."""
+        assert self.own is not None
+        assert self.other is not None
+        assert self.count is not None
+        product, count = (_smooth(self.maps[name], _WIDE_BLOCKS) for name in ("product", "count"))
+        between = _smooth(_columns(self.own.astype(float) * self.other), _WIDE_BLOCKS) - product
+        pairs = _smooth(_columns(self.count.astype(float) ** 2), _WIDE_BLOCKS) - count
+        # Twice the standard deviation of the correlation where there is no texture keeps the ratio quiet there.
+        ridge = 2 / np.sqrt(4 * np.pi * _WIDE_BLOCKS**2 * BLOCK_PX * self.captures)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            within = np.maximum(product / count, 0) + ridge
+            found = np.nan_to_num(between / pairs / within, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 1)
+        out = np.zeros(shape)
+        if own:
+            out[: found.shape[0]] = found[: shape[0], : shape[1]]
+            return out
+        return self._at_other(found, shape)
+
+    def _at_other(self, found: Array, shape: tuple[int, int]) -> Array:
+        """Carry a map to where the blocks lie in the other camera, on average: what stands still lies there always."""
+        seen = self.maps["seen"]
+        held = seen > 0
+        column, row = (
+            (self.maps[name][held] / seen[held] / BLOCK_PX).astype(np.intp).clip(0, n - 1)
+            for name, n in (("u", shape[1]), ("v", shape[0]))
+        )
+        total, count = np.zeros(shape), np.zeros(shape)
+        np.add.at(total, (row, column), found[: held.shape[0], : held.shape[1]][held])
+        np.add.at(count, (row, column), 1.0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.nan_to_num(_smooth(total, 1.0) / _smooth(count, 1.0)).clip(0, 1)
+
+
+def pattern_variances(moments: Moments, weighted_sum: Map, weight: Map, still_share: Array) -> tuple[Map, Map, Map]:
+    """Return the variance of the pattern, that of still texture, and the information per weight (each (h, w)).
+
+    Two captures' covariance at the same pixel is that of the pattern and of still texture; the rest of their variance
+    is noise, which is known, and texture. The pattern is taken to be alike over the sensor (its response), but for
+    places where much more is in common than chance explains (dust).
+    """
+    m = moments.maps
+    common = _blocks(weighted_sum.astype(float) ** 2) - m["wwcc"]
+    pairs = _blocks(weight.astype(float) ** 2) - m["ww"]
+
+    def estimates(width: float) -> tuple[Array, Array, Array]:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            covariance = _smooth(common, width) / _smooth(pairs, width)
+            variance = _smooth(m["wcc"], width) / _smooth(m["w"], width)
+            noise = _smooth(m["wn"], width) / _smooth(m["w"], width)
+        return (np.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0) for x in (covariance, variance, noise))  # type: ignore[return-value]
+
+    covariance, variance, noise = estimates(_WIDE_BLOCKS)
+    # covariance = pattern + share * texture, variance - noise = pattern + texture.
+    level = (covariance - still_share * (variance - noise)) / np.maximum(1 - still_share, 1 - _MAX_STILL)
+    measured = pairs > 0
+    telling = measured & (still_share < _MAX_STILL)
+    enough = telling.sum() > _MIN_TELLING * measured.sum()
+    response = max(0.0, float(np.median(level[telling]))) if enough else 0.0
+    prior = response * (1 - still_share)
+
+    covariance, variance, noise = estimates(_NARROW_BLOCKS)
+    still = still_share * np.maximum(variance - noise - response, 0)
+    local = covariance - still_share * np.maximum(variance - noise, 0)
+    window = 4 * np.pi * (_NARROW_BLOCKS * BLOCK_PX) ** 2
+    texture = np.maximum(variance - noise - prior, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        captures = np.maximum(np.nan_to_num((pairs + m["ww"]) / m["ww"], nan=1.0), 1.0 + 1e-6)
+        # Deviation of the covariance of independent captures: noise has as many cells as pixels, texture fewer.
+        chance = np.sqrt((variance**2 + (_CORRELATED_PX * texture) ** 2) / window * 2 / (captures * (captures - 1)))
+        part = np.nan_to_num(m["ww"] / m["w"])
+    dust = (local - prior > _DUST_SIGMAS * chance) & (still_share < _MAX_STILL_AT_DUST)
+    prior = np.where(dust, local, prior)
+    gain = 1 / (1 - np.minimum(prior * part, _MAX_PATTERN_SHARE))
+    return prior.astype(np.float32), still.astype(np.float32), gain.astype(np.float32)
+
+
+def _accumulate(into: dict[str, Array], maps: dict[str, Array]) -> None:
+    for name, value in maps.items():
+        into[name] = into[name] + value if name in into else value.astype(float)
+
+
+def _smooth(blocks: Array, width: float) -> Array:
+    return cv2.GaussianBlur(blocks.astype(np.float64), (0, 0), width, borderType=cv2.BORDER_CONSTANT)
+
+
+def _columns(rows: NDArray[Any]) -> Array:
+    """Sum a map (h, W) over blocks of columns."""
+    padded = np.pad(rows, ((0, 0), (0, -rows.shape[1] % BLOCK_PX)))
+    return padded.reshape(rows.shape[0], -1, BLOCK_PX).sum(2)
+
+
+def _blocks(image: NDArray[Any]) -> Array:
+    """Sum a map (H, W) over blocks."""
+    return _columns(_columns(image).T).T

@@ -1,0 +1,123 @@
+"""The texture kernels in NumPy: slow, short, from the definitions in src/core/{contrast,chart,fixed_pattern}.hpp."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def cubic(x):
+    d = np.abs(x)
+    inner, outer = (1.5 * d - 2.5) * d * d + 1, ((-0.5 * d + 2.5) * d - 4) * d + 2
+    return np.where(d < 1, inner, np.where(d < 2, outer, 0.0))
+
+
+def spread(blocks, factor, shape):
+    return np.kron(blocks, np.ones((factor, factor)))[: shape[0], : shape[1]]
+
+
+def between_blocks(blocks, factor, shape):
+    """Linear interpolation between the centres of blocks."""
+
+    def matrix(size, count):
+        place = np.clip((np.arange(size) + 0.5) / factor - 0.5, 0, count - 1)
+        return np.maximum(0, 1 - np.abs(place[:, None] - np.arange(count)))
+
+    return matrix(shape[0], blocks.shape[0]) @ blocks @ matrix(shape[1], blocks.shape[1]).T
+
+
+def block_sums(image, low, high, factor):
+    known = (image > low) & (image < high)
+    pad = [(0, -n % factor) for n in image.shape]
+    out = []
+    for m in (np.where(known, image, 0), known.astype(float)):
+        padded = np.pad(m, pad)
+        h, w = (n // factor for n in padded.shape)
+        out.append(padded.reshape(h, factor, w, factor).sum((1, 3)))
+    return out
+
+
+def camera_contrast(images, ranges, inverse_level, weight, noise, factor, limit):
+    shape, kinds = images[0].shape, len(images)
+    known = [(i > low) & (i < high) for i, (low, high) in zip(images, ranges, strict=True)]
+    weights = [k * spread(w, factor, shape) for k, w in zip(known, weight, strict=True)]
+    total = sum(weights)
+    grey = [
+        w * np.where(k, i, 0) * between_blocks(m, factor, shape)
+        for w, k, i, m in zip(weights, known, images, inverse_level, strict=True)
+    ]
+    variance = sum(
+        weights[k] * weights[j] * spread(noise[k * kinds + j], factor, shape)
+        for k in range(kinds)
+        for j in range(kinds)
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = np.where(total > 0, np.clip(sum(grey) / total - 1, -limit, limit), np.nan)
+        return value, np.where(total > 0, variance / total**2, np.nan)
+
+
+def taps(place, stretch):
+    at = np.arange(np.ceil(place - 2 * stretch), np.floor(place + 2 * stretch) + 1).astype(int)
+    w = cubic((at - place) / stretch)
+    return at, w / w.sum()
+
+
+def read_cubic(value, variance, place):
+    out = np.full((2, *place.shape[:2]), np.nan)
+    height, width = value.shape
+    for v, u in np.ndindex(*place.shape[:2]):
+        x, y = place[v, u]
+        if not (1 <= x < width - 2 and 1 <= y < height - 2):
+            continue
+        (columns, across), (rows, down) = taps(x, 1.0), taps(y, 1.0)
+        out[0, v, u] = down @ value[np.ix_(rows, columns)] @ across
+        nearest = variance[int(np.floor(y + 0.5)), int(np.floor(x + 0.5))]
+        out[1, v, u] = nearest * (across**2).sum() * (down**2).sum()
+    return out
+
+
+def merge_contrasts(views, valid, factor):
+    weights, total, noise = (np.zeros(valid.shape) for _ in range(3))
+    for value, variance, place, shading, trust in views:
+        if place.size:
+            value, variance = read_cubic(value, variance, place)
+        light, t = between_blocks(shading, factor, valid.shape), between_blocks(trust, factor, valid.shape)
+        known = np.isfinite(value) & (variance > 0)
+        w = np.where(known, light**2 / np.where(known, variance, 1), 0)
+        weights += t * w
+        total += t * w * np.where(known, (1 + value) / light - 1, 0)
+        noise += t**2 * w
+    with np.errstate(divide="ignore", invalid="ignore"):
+        held = (valid > 0) & (weights > 0)
+        return np.where(held, total / weights, np.nan), np.where(held, np.sqrt(noise) / weights, np.nan)
+
+
+def sample_chart(value, sigma, source, stretch, interpolated):
+    """`stretch` (along u, along v) alike for all pixels, which lie inside the map.
+
+    Kernels exist for every 256th of a pixel, and for widths in eighths of one.
+    """
+    source, stretch = np.floor(source * 256 + 0.5) / 256, 1 + np.floor((np.asarray(stretch) - 1) * 8 + 0.5) / 8
+    lags = np.array([1.0, 0.15570175, -0.04385965, 0.00219298])
+    out = np.empty((2, *source.shape[:2]))
+    for y, x in np.ndindex(*source.shape[:2]):
+        (columns, across), (rows, down) = taps(source[y, x, 0], stretch[0]), taps(source[y, x, 1], stretch[1])
+        window = np.ix_(rows, columns)
+        out[0, y, x] = down @ value[window] @ across
+        gains = []
+        for w in (across, down):
+            apart = np.abs(np.subtract.outer(np.arange(len(w)), np.arange(len(w))))
+            correlation = np.where(apart < 4, lags[np.minimum(apart, 3)], 0)
+            gains.append(w @ correlation @ w / (w @ w))
+        squares = (down**2) @ sigma[window] ** 2 @ (across**2)
+        out[1, y, x] = np.sqrt(squares * (1 + interpolated * (gains[0] * gains[1] - 1)))
+    return out
+
+
+def remove_pattern(value, variance, own, total, weight, prior, still, gain, factor):
+    shape = value.shape
+    prior, still, gain = (between_blocks(m, factor, shape) for m in (prior, still, gain))
+    mine = spread(own, factor, shape) if own.size else np.zeros(shape)
+    w, s = weight - mine, total - np.where(mine > 0, mine * value, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(w > 1e-3 * weight, prior / (prior + still + 1 / (gain * w)), 0)
+        return value - np.where(share > 0, share * s / w, 0), variance + prior * (1 - share)

@@ -1,0 +1,92 @@
+"""The texture kernels against their definitions in NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from planish import _core
+from reference import texture as reference
+
+#: float32 sums of some ten terms near 1.
+ROUNDING = 2e-5
+FACTOR, SHAPE, BLOCKS = 4, (30, 41), (8, 11)
+
+
+def drawn(seed, shape, low, high):
+    return np.random.default_rng(seed).uniform(low, high, shape).astype(np.float32)
+
+
+def with_gaps(image, seed):
+    out = image.copy()
+    out[np.random.default_rng(seed).uniform(size=image.shape) < 0.1] = np.nan
+    return out
+
+
+def both(kernel, twin):
+    for a, b in zip(kernel, twin, strict=True):
+        np.testing.assert_allclose(a, b, rtol=ROUNDING, atol=ROUNDING)
+
+
+def test_block_sums_leave_out_what_is_dark_saturated_or_unknown():
+    image = with_gaps(drawn(1, SHAPE, 0, 260), 2)
+    both(_core.block_sums(image, 10, 250, FACTOR, 2), reference.block_sums(image, 10, 250, FACTOR))
+
+
+def test_the_kinds_of_a_cameras_images_are_combined_as_defined():
+    images = [with_gaps(drawn(k, SHAPE, 50, 200), 10 + k) for k in range(3)]
+    ranges = [(60.0, 1e9), (60.0, 180.0), (70.0, 1e9)]
+    inverse = [drawn(20 + k, BLOCKS, 0.008, 0.012) for k in range(3)]
+    weight = [drawn(30 + k, BLOCKS, 0, 1) for k in range(3)]
+    noise = [drawn(40 + k, BLOCKS, 1, 2) for k in range(9)]
+    args = (images, ranges, inverse, weight, noise, FACTOR, 0.6)
+    kernel = _core.camera_contrast(*args, 2)
+    assert np.isnan(kernel[0]).any()
+    both(kernel, reference.camera_contrast(*args))
+
+
+def test_views_are_merged_as_defined():
+    value, variance = (with_gaps(drawn(k, SHAPE, 0.1, 0.3), 5) for k in (1, 2))
+    rows, columns = np.indices(SHAPE)
+    place = np.stack([columns + 0.3 + 0.01 * rows, rows - 0.4], -1).astype(np.float32)
+    place[3:5, 6] = np.nan
+    other = [drawn(k, (33, 45), 0.1, 0.3) for k in (3, 4)]
+    light, trust = drawn(6, BLOCKS, 0.8, 1.2), drawn(7, BLOCKS, 0, 1)
+    views = [
+        (value, variance, np.empty((0, 0, 2), np.float32), light, trust),
+        (*other, place, light, trust[::-1].copy()),
+    ]
+    valid = (drawn(8, SHAPE, 0, 1) > 0.1).astype(np.uint8)
+    both(_core.merge_contrasts(views, valid, FACTOR, 2), reference.merge_contrasts(views, valid, FACTOR))
+
+
+@pytest.mark.parametrize("stretch", [(0.8, 0.9), (1.5, 1.2), (2.7, 1.0)])
+def test_a_chart_is_sampled_as_defined(stretch):
+    value, sigma = drawn(1, (60, 80), -1, 1), drawn(2, (60, 80), 0.1, 0.2)
+    rows, columns = np.indices((14, 16))
+    source = np.stack([15 + stretch[0] * columns, 16 + stretch[1] * rows], -1).astype(np.float32)
+    kernel = _core.sample_chart(value, sigma, source, 0.6, 2)
+    both(kernel, reference.sample_chart(value, sigma, source, np.maximum(stretch, 1), 0.6))
+
+
+@pytest.mark.parametrize("member", [True, False])
+def test_a_pattern_is_removed_as_defined(member):
+    value, variance = drawn(1, SHAPE, -0.1, 0.1), drawn(2, SHAPE, 1e-5, 1e-4)
+    own = drawn(3, BLOCKS, 1e3, 2e3) if member else np.empty((0, 0), np.float32)
+    weight, total = np.zeros(SHAPE, np.float32), np.zeros(SHAPE, np.float32)
+    captures = [(value, own)] if member else []
+    captures += [(with_gaps(drawn(10 + k, SHAPE, -0.1, 0.1), k), drawn(20 + k, BLOCKS, 1e3, 2e3)) for k in range(3)]
+    for contrast, share in captures:
+        _core.add_to_pattern(contrast, share, FACTOR, total, weight, 2)
+    maps = [drawn(30, BLOCKS, 1e-4, 1e-3), drawn(31, BLOCKS, 0, 1e-4), drawn(32, BLOCKS, 1, 2)]
+    args = (value, variance, own, total, weight, *maps, FACTOR)
+    both(_core.remove_pattern(*args, 2), reference.remove_pattern(*args))
+
+
+def test_the_kernels_return_the_same_bytes_for_any_number_of_threads():
+    value, sigma = drawn(1, (60, 80), -1, 1), drawn(2, (60, 80), 0.1, 0.2)
+    source = drawn(3, (31, 33, 2), 0, 60)
+    one, three = (_core.sample_chart(value, sigma, source, 0.6, n) for n in (1, 3))
+    assert [m.tobytes() for m in one] == [m.tobytes() for m in three]
+    one, three = (_core.block_sums(value, 0, 1, 4, n) for n in (1, 3))
+    assert [m.tobytes() for m in one] == [m.tobytes() for m in three]
