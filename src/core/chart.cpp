@@ -174,8 +174,7 @@ void rasterise_chart(const Image<const float>& coordinates, const ChartRaster& r
                 std::max(above.bottom, below.bottom) >= static_cast<float>(first))
                 fill_between(source, band, above, below, limit);
         }
-        std::swap(above, below);
-    }
+    });
 }
 
 void chart_surface(const Image<const float>& source, const Image<const float>& points,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,8 @@ from numpy.typing import NDArray
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import Options
-from planish.registration.consensus import ConsensusOptions, find_consensus
+from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
+from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows, prepare_dense, signal_to_noise
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
 from planish.registration.match.matching import MatchOptions, match
@@ -43,6 +45,7 @@ class PairOptions(Options):
     charts: ChartOptions = ChartOptions()
     keypoints: KeypointOptions = KeypointOptions()
     match: MatchOptions = MatchOptions()
+    dense: DenseOptions = DenseOptions()
     consensus: ConsensusOptions = ConsensusOptions()
     refine: RefineOptions = RefineOptions()
     verdict: VerdictOptions = VerdictOptions()
@@ -61,6 +64,17 @@ class Prepared:
     #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
     sides: Mapping[float, JointSide]
     fit_sides: Mapping[float, JointSide]
+    dense_options: DenseOptions
+
+    @cached_property
+    def dense(self) -> tuple[DenseTexture, ...]:
+        """The developed texture: made when the first pair asks for it."""
+        return prepare_dense(self.images, self.dense_options)
+
+    @cached_property
+    def signal_to_noise(self) -> float:
+        """How strong the texture is against its noise (variances)."""
+        return signal_to_noise(self.images)
 
 
 #: Pitch of the texture images in multiples of the ground sample distance: the detector doubles the image, so that its
@@ -108,7 +122,8 @@ def prepare(
     kept = ~held_out_pixels(measurement)
     sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
     fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
-    return Prepared(measurement, surface, contrast, images, patch_images(images), keypoints, sides, fit_sides)
+    patches = patch_images(images)
+    return Prepared(measurement, surface, contrast, images, patches, keypoints, sides, fit_sides, options.dense)
 
 
 def register_pair(
@@ -118,10 +133,34 @@ def register_pair(
     options = options or PairOptions()
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse = find_consensus(matches, options.consensus, threads)
+    result = _judged(a, b, matches, coarse, _looked_at_mm(a, options), options, pairs_in_run, threads)
+    if result.status != "refused" or not _asks_for_windows(a, b, options.dense):
+        return result
+    windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
+    coarse = find_consensus(windows.matches, options.consensus, threads, chance=windows.chance, tried=windows.tried)
+    second = _judged(a, b, windows.matches, coarse, _EVERYWHERE_MM, options, pairs_in_run, threads)
+    # Of two refusals the one that says more.
+    better = second.log10_false_alarms < result.log10_false_alarms
+    return second if second.status != "refused" or better else result
+
+
+#: Windows have been sought over the whole of both measurements.
+_EVERYWHERE_MM = 1e6
+
+
+def _judged(
+    a: Prepared,
+    b: Prepared,
+    matches: Matches,
+    coarse: CoarseResult,
+    looked_at_mm: float | None,
+    options: PairOptions,
+    pairs_in_run: int,
+    threads: int | None,
+) -> PairResult:
+    """Return the result that these matches and their consensus lead to."""
     side_a, side_b = (Side(p.measurement, p.images, p.contrast) for p in (a, b))
-    verdict = judge_coarse(
-        side_a, side_b, matches, coarse, pairs_in_run, options.verdict, _looked_at_mm(a, options), threads
-    )
+    verdict = judge_coarse(side_a, side_b, matches, coarse, pairs_in_run, options.verdict, looked_at_mm, threads)
     first = verdict.first
     result = PairResult(
         a=a.measurement.name,
@@ -152,6 +191,11 @@ def _looked_at_mm(side: Prepared, options: PairOptions) -> float | None:
 
 def _patch_side(side: Prepared) -> PatchSide:
     return PatchSide(side.keypoints, side.images, side.patches)
+
+
+def _asks_for_windows(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
+    """Whether keypoints may have failed because the texture is too weak for them."""
+    return options.enabled and min(a.signal_to_noise, b.signal_to_noise) < options.max_signal_to_noise
 
 
 def _refined_result(
