@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,15 @@ from numpy.typing import NDArray
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import Options
-from planish.registration.consensus import ConsensusOptions, find_consensus
+from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
+from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows, prepare_dense, signal_to_noise
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
 from planish.registration.match.matching import MatchOptions, match
 from planish.registration.match.patches import PatchSide
 from planish.registration.match.whitening import PatchImage, patch_images
 from planish.registration.matches import Matches
+from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.refine.overlap import overlap_extent
@@ -43,6 +46,7 @@ class PairOptions(Options):
     charts: ChartOptions = ChartOptions()
     keypoints: KeypointOptions = KeypointOptions()
     match: MatchOptions = MatchOptions()
+    dense: DenseOptions = DenseOptions()
     consensus: ConsensusOptions = ConsensusOptions()
     refine: RefineOptions = RefineOptions()
     verdict: VerdictOptions = VerdictOptions()
@@ -61,6 +65,17 @@ class Prepared:
     #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
     sides: Mapping[float, JointSide]
     fit_sides: Mapping[float, JointSide]
+    dense_options: DenseOptions
+
+    @cached_property
+    def dense(self) -> tuple[DenseTexture, ...]:
+        """The developed texture: made when the first pair asks for it."""
+        return prepare_dense(self.images, self.dense_options)
+
+    @cached_property
+    def signal_to_noise(self) -> float:
+        """How strong the texture is against its noise (variances)."""
+        return signal_to_noise(self.images)
 
 
 #: Pitch of the texture images in multiples of the ground sample distance: the detector doubles the image, so that its
@@ -108,7 +123,8 @@ def prepare(
     kept = ~held_out_pixels(measurement)
     sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
     fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
-    return Prepared(measurement, surface, contrast, images, patch_images(images), keypoints, sides, fit_sides)
+    patches = patch_images(images)
+    return Prepared(measurement, surface, contrast, images, patches, keypoints, sides, fit_sides, options.dense)
 
 
 def register_pair(
@@ -118,10 +134,34 @@ def register_pair(
     options = options or PairOptions()
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse = find_consensus(matches, options.consensus, threads)
+    result = _judged(a, b, matches, coarse, _looked_at_mm(a, options), options, pairs_in_run, threads)
+    if result.status != "refused" or not (options.dense.enabled and _is_weak(a, b, options.dense)):
+        return result
+    windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
+    coarse = find_consensus(windows.matches, options.consensus, threads, chance=windows.chance, tried=windows.tried)
+    second = _judged(a, b, windows.matches, coarse, _EVERYWHERE_MM, options, pairs_in_run, threads)
+    # Of two refusals the one that says more.
+    better = second.log10_false_alarms < result.log10_false_alarms
+    return second if second.status != "refused" or better else result
+
+
+#: Windows have been sought over the whole of both measurements.
+_EVERYWHERE_MM = 1e6
+
+
+def _judged(
+    a: Prepared,
+    b: Prepared,
+    matches: Matches,
+    coarse: CoarseResult,
+    looked_at_mm: float | None,
+    options: PairOptions,
+    pairs_in_run: int,
+    threads: int | None,
+) -> PairResult:
+    """Return the result that these matches and their consensus lead to."""
     side_a, side_b = (Side(p.measurement, p.images, p.contrast) for p in (a, b))
-    verdict = judge_coarse(
-        side_a, side_b, matches, coarse, pairs_in_run, options.verdict, _looked_at_mm(a, options), threads
-    )
+    verdict = judge_coarse(side_a, side_b, matches, coarse, pairs_in_run, options.verdict, looked_at_mm, threads)
     first = verdict.first
     result = PairResult(
         a=a.measurement.name,
@@ -154,6 +194,11 @@ def _patch_side(side: Prepared) -> PatchSide:
     return PatchSide(side.keypoints, side.images, side.patches)
 
 
+def _is_weak(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
+    """Whether single pixels hold too little texture: keypoints may fail, and slopes are mostly noise."""
+    return min(a.signal_to_noise, b.signal_to_noise) < options.max_signal_to_noise
+
+
 def _refined_result(
     a: Prepared,
     b: Prepared,
@@ -163,7 +208,8 @@ def _refined_result(
     options: PairOptions,
     threads: int | None,
 ) -> PairResult:
-    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without)
+    anchor = first.anchor() if _is_weak(a, b, options.dense) else None
+    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor)
     covariance = noise_covariance(refined) if refined is not None else None
     directions = observability(refined, covariance) if refined is not None and covariance is not None else ()
     drift = first.drift_mm(refined.T_a_b) if refined is not None else 0.0
@@ -192,10 +238,11 @@ def refine_pair(
     options: PairOptions | None = None,
     threads: int | None = None,
     without: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None),
+    anchor: Anchor | None = None,
 ) -> Refined | None:
     """Return the joint refinement of a pair from a coarse transform, or None where the surfaces do not overlap.
 
-    `without` (H, W) of a and of b are pixels that take no part.
+    `without` (H, W) of a and of b are pixels that take no part; `anchor` adds what windows of weak textures say.
     """
     options = options or PairOptions()
     extent = overlap_extent(a.measurement, b.measurement, T_a_b, max(options.refine.max_distance_mm))
@@ -204,7 +251,7 @@ def refine_pair(
     centre, radius = extent
     tile = tile_size_px(b.measurement)
     sides_a, sides_b = _without(a.fit_sides, without[0]), _without(b.sides, without[1])
-    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, options.refine, threads)
+    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, options.refine, threads, anchor)
 
 
 def _without(sides: Mapping[float, JointSide], mask: NDArray[np.bool_] | None) -> Mapping[float, JointSide]:

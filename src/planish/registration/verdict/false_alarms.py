@@ -13,7 +13,7 @@ from planish.registration.matches import Matches
 from planish.registration.verdict.verify import Windows
 
 
-def log10_false_alarms(places: int, all_places: int, chance: float, pairs_in_run: int) -> float:
+def log10_false_alarms(places: int, all_places: int, chance: float, pairs_in_run: float) -> float:
     """Return log10 of the number of consensuses this good to be expected by chance in the whole run.
 
     A-contrario reasoning (Desolneux, Moisan, Morel 2000; Moulon et al. 2012): two matches fix the transform; the chance

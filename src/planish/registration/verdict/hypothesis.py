@@ -11,6 +11,7 @@ from planish.geometry import Array, fit_rigid, invert, rotation_angle, transform
 from planish.measurement import Measurement
 from planish.registration.consensus import Candidate, CoarseResult
 from planish.registration.matches import Matches
+from planish.registration.refine.anchor import Anchor
 from planish.registration.texture.resample import TextureImage
 from planish.registration.verdict.aligned import Side, sample
 from planish.registration.verdict.false_alarms import (
@@ -74,6 +75,18 @@ class Hypothesis:
             return 0.0
         moved = transform_points(T_a_b @ invert(self.T_a_b), points_a)
         return float(np.sqrt(((moved - points_a) ** 2).sum(1).mean()))
+
+
+    def anchor(self) -> Anchor | None:
+        """Return what the agreeing windows hold the refinement by, or None where they are hardly more than chance."""
+        agrees, windows = self.windows.agrees, self.windows
+        by_chance = windows.chance * len(windows)
+        if agrees.sum() < max(_MIN_WINDOWS, _CREDIBLE * by_chance):
+            return None
+        scatter = np.sqrt((windows.offset_mm[agrees] ** 2).mean() / 2)
+        # Those that agree by chance say nothing.
+        counted = 1 - by_chance / agrees.sum()
+        return Anchor(self.T_a_b, windows.points_a[agrees], float(scatter / np.sqrt(counted)))
 
 
 #: Transforms are fitted to what agrees at most so often.

@@ -153,7 +153,8 @@ class _Case:
             self.stands_still(h) or self.alarms(h) > self.options.max_log10_false_alarms for h in found
         ):
             rest = still.standing_still(self.matches, self.options.still_px)
-            moving = find_consensus(self.matches, coarse.options, self.threads, exclude=rest)
+            chance = coarse.chance if coarse.tried > 1 else None
+            moving = find_consensus(self.matches, coarse.options, self.threads, rest, chance, coarse.tried)
             found = self._weighed(moving, found)
         return sorted(found, key=lambda h: h.log10_false_alarms)
 
