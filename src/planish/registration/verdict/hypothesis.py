@@ -76,7 +76,6 @@ class Hypothesis:
         moved = transform_points(T_a_b @ invert(self.T_a_b), points_a)
         return float(np.sqrt(((moved - points_a) ** 2).sum(1).mean()))
 
-
     def anchor(self) -> Anchor | None:
         """Return what the agreeing windows hold the refinement by, or None where they are hardly more than chance."""
         agrees, windows = self.windows.agrees, self.windows
