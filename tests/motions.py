@@ -11,6 +11,7 @@ import numpy as np
 import synthetic
 from planish.geometry import exp_se3
 from planish.registration.pair import PairOptions, common_gsd, common_pitch, length_factor, prepare, register_pair
+from planish.registration.verdict.aligned import Side
 
 #: 486 x 363 px, 0.93 mm per pixel: windows of 28 mm, some 150 of them.
 SCALE = 0.35
@@ -116,6 +117,12 @@ def registered(a, b, pairs_in_run=1):
     factor, pitch = length_factor(common_gsd([a, b])), common_pitch([a, b])
     options = PairOptions().scaled(factor)
     return register_pair(prepare(a, pitch, options, 1), prepare(b, pitch, options, 1), options, pairs_in_run, threads=1)
+
+
+def side(m):
+    """A measurement as the verdict sees it."""
+    p = prepare(m, common_pitch([m]), options(), 1)
+    return Side(m, p.images, p.contrast)
 
 
 def worst_mm(T_hat, T_true, m):

@@ -10,6 +10,7 @@ import pytest
 import motions
 from motions import T_MOVED
 from planish.geometry import exp_se3
+from planish.registration.verdict.verify import correlate_windows
 
 STILL = np.eye(4)
 #: Columns of the image that show a background.
@@ -41,6 +42,28 @@ def test_unique_grain_is_accepted_and_right():
     assert motions.worst_mm(result.T_a_b, T_MOVED, moved_grain()[1]) < RIGHT_MM
     assert result.windows_agreeing > 0.9 * result.windows > 50
     assert result.motions == ()
+
+
+def test_windows_agree_where_the_transform_is_right_and_by_chance_where_it_is_not():
+    a, b = (motions.side(m) for m in moved_grain())
+    verify = motions.options().verdict.verify
+    right = correlate_windows(a, b, T_MOVED, verify)
+    wrong = correlate_windows(a, b, exp_se3([0, 0, 0, 25, -40, 0]) @ T_MOVED, verify)
+    assert right.agrees.all()
+    assert len(wrong) > 80
+    # Four standard deviations of a binomial number.
+    expected = wrong.chance * len(wrong)
+    assert wrong.agrees.sum() < expected + 4 * np.sqrt(expected)
+    assert np.median(wrong.score) < 0.3 * np.median(right.score)
+
+
+def test_screened_windows_are_some_of_all():
+    a, b = (motions.side(m) for m in moved_grain())
+    verify = motions.options().verdict.verify
+    everything, some = (correlate_windows(a, b, T_MOVED, verify, every) for every in (1, 2))
+    assert 0.15 * len(everything) < len(some) < 0.35 * len(everything)
+    assert np.isin(some.cell, everything.cell).all()
+    assert some.agrees.all()
 
 
 @pytest.mark.parametrize(("texture", "period_mm"), [(motions.chessboard, 28.0), (motions.repeating, 36.0)])

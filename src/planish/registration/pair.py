@@ -20,6 +20,7 @@ from planish.registration.match.matching import MatchOptions, match
 from planish.registration.match.patches import PatchSide
 from planish.registration.match.whitening import PatchImage, patch_images
 from planish.registration.matches import Matches
+from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.refine.overlap import overlap_extent
@@ -134,7 +135,7 @@ def register_pair(
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse = find_consensus(matches, options.consensus, threads)
     result = _judged(a, b, matches, coarse, _looked_at_mm(a, options), options, pairs_in_run, threads)
-    if result.status != "refused" or not _asks_for_windows(a, b, options.dense):
+    if result.status != "refused" or not (options.dense.enabled and _is_weak(a, b, options.dense)):
         return result
     windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
     coarse = find_consensus(windows.matches, options.consensus, threads, chance=windows.chance, tried=windows.tried)
@@ -193,9 +194,9 @@ def _patch_side(side: Prepared) -> PatchSide:
     return PatchSide(side.keypoints, side.images, side.patches)
 
 
-def _asks_for_windows(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
-    """Whether keypoints may have failed because the texture is too weak for them."""
-    return options.enabled and min(a.signal_to_noise, b.signal_to_noise) < options.max_signal_to_noise
+def _is_weak(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
+    """Whether single pixels hold too little texture: keypoints may fail, and slopes are mostly noise."""
+    return min(a.signal_to_noise, b.signal_to_noise) < options.max_signal_to_noise
 
 
 def _refined_result(
@@ -207,7 +208,8 @@ def _refined_result(
     options: PairOptions,
     threads: int | None,
 ) -> PairResult:
-    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without)
+    anchor = first.anchor() if _is_weak(a, b, options.dense) else None
+    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor)
     covariance = noise_covariance(refined) if refined is not None else None
     directions = observability(refined, covariance) if refined is not None and covariance is not None else ()
     drift = first.drift_mm(refined.T_a_b) if refined is not None else 0.0
@@ -236,10 +238,11 @@ def refine_pair(
     options: PairOptions | None = None,
     threads: int | None = None,
     without: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None),
+    anchor: Anchor | None = None,
 ) -> Refined | None:
     """Return the joint refinement of a pair from a coarse transform, or None where the surfaces do not overlap.
 
-    `without` (H, W) of a and of b are pixels that take no part.
+    `without` (H, W) of a and of b are pixels that take no part; `anchor` adds what windows of weak textures say.
     """
     options = options or PairOptions()
     extent = overlap_extent(a.measurement, b.measurement, T_a_b, max(options.refine.max_distance_mm))
@@ -248,7 +251,7 @@ def refine_pair(
     centre, radius = extent
     tile = tile_size_px(b.measurement)
     sides_a, sides_b = _without(a.fit_sides, without[0]), _without(b.sides, without[1])
-    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, options.refine, threads)
+    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, options.refine, threads, anchor)
 
 
 def _without(sides: Mapping[float, JointSide], mask: NDArray[np.bool_] | None) -> Mapping[float, JointSide]:

@@ -46,16 +46,28 @@ class Aligned:
     source_b: Map
 
 
-def align(a: Side, b: Side, T_a_b: Array, gate_mm: float) -> tuple[Aligned, ...]:
-    """Return, per texture image of a, b's texture under T_a_b; surfaces belong together within `gate_mm`."""
+def align(
+    a: Side, b: Side, T_a_b: Array, gate_mm: float, lattice_px: tuple[int, int] | None = None
+) -> tuple[Aligned, ...]:
+    """Return, per texture image of a, b's texture under T_a_b; surfaces belong together within `gate_mm`.
+
+    `lattice_px` is distance and edge of squares [texture px] outside which nothing is asked.
+    """
     covered = np.zeros(a.measurement.shape, bool) if len(a.images) > 1 else None
-    return tuple(_align_one(image, covered, b, T_a_b, gate_mm) for image in a.images)
+    return tuple(_align_one(_asked(image, covered, lattice_px), image, b, T_a_b, gate_mm) for image in a.images)
 
 
-def _align_one(
-    image: TextureImage, covered: NDArray[np.bool_] | None, b: Side, T_a_b: Array, gate_mm: float
-) -> Aligned:
+def _asked(
+    image: TextureImage, covered: NDArray[np.bool_] | None, lattice_px: tuple[int, int] | None
+) -> NDArray[np.bool_]:
     own = image.mask if covered is None else _not_yet(image, covered)
+    if lattice_px is None:
+        return own
+    rows, columns = (np.arange(n) % lattice_px[0] < lattice_px[1] for n in own.shape)
+    return own & rows[:, None] & columns[None, :]
+
+
+def _align_one(own: NDArray[np.bool_], image: TextureImage, b: Side, T_a_b: Array, gate_mm: float) -> Aligned:
     v, u = np.nonzero(own)
     T_b_a = invert(T_a_b)
     points = np.asarray(transform_points(T_b_a, image.points_sensor[v, u].astype(float)), float)

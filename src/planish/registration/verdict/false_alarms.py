@@ -41,23 +41,39 @@ def log10_binomial_tail(k: int, n: int, p: float) -> float:
     return float(min(log_term / np.log(10), 0.0))
 
 
-def log10_by_matches(matches: Matches, T_a_b: Array, places: int, coarse: CoarseResult) -> float:
+def log10_by_matches(
+    matches: Matches, members: NDArray[np.int64], T_a_b: Array, coarse: CoarseResult, looked_at_mm: float
+) -> float:
     """Return log10 of the number of consensuses this good to be expected by chance in one pair.
 
-    The greater of two counts. One is among all matches (`chance_of_agreement`). The other grants chance that kind finds
+    Places count that are so far apart that their matches have looked at different texture (`looked_at_mm` is the radius
+    of what each has compared): one piece of texture that resembles another by chance carries all the matches on it. A
+    place agrees if one of its matches does.
+
+    The greater of two counts. One is among all places (`chance_of_agreement`). The other grants chance that kind finds
     kind: rims match rims, lines match lines, because they look alike, so that a transform which lays one on the other
     has many matches that nearly agree. Only those within a wide reach are counted then, and the chance that such a
     match agrees exactly is taken from how the places of its neighbourhood lie: along a line it is far greater than in
     an area.
     """
-    whole = log10_false_alarms(places, coarse.places, chance_of_agreement(matches, T_a_b, coarse), 1)
-    if places < 3:
-        return whole
-    nearly, chance = _nearly_agreeing(matches, T_a_b, coarse)
+    apart_mm = max(_APART * looked_at_mm, coarse.options.distinct_mm)
+    places = count_places(matches.points_a[members], apart_mm)
     tests = np.log10(max(coarse.places, 2) ** 2 / 2)
-    return float(max(whole, tests + log10_binomial_tail(places - 2, max(nearly, places) - 2, chance)))
+    if places < 3:
+        return float(tests)
+    nearly, near_chance = _nearly_agreeing(matches, T_a_b, coarse)
+    everything = np.ones(len(matches), bool)
+    tails = []
+    for chosen, chance in ((everything, chance_of_agreement(matches, T_a_b, coarse)), (nearly, near_chance)):
+        # Places are counted greedily: few of all can be fewer than those of a part of them.
+        trials = max(count_places(matches.points_a[chosen], apart_mm), places)
+        of_place = min(1.0, chance * max(1.0, int(chosen.sum()) / trials))
+        tails.append(log10_binomial_tail(places - 2, trials - 2, of_place))
+    return float(tests + max(tails))
 
 
+#: Patches whose middles are so many radii apart share a seventh of their area.
+_APART = 1.5
 #: The density of places near a place is averaged over this many tolerances.
 _DENSITY_TOLERANCES = 5.0
 #: Matches nearly agree within this many tolerances: many times as far as chance reaches, and well inside a part.
@@ -84,8 +100,8 @@ def chance_of_agreement(matches: Matches, T_a_b: Array, coarse: CoarseResult) ->
     return float(np.clip(max(density * (_FREEDOM / _DENSITY_TOLERANCES) ** 2, coarse.chance), 1e-12, 1.0))
 
 
-def _nearly_agreeing(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> tuple[int, float]:
-    """Distinct places of the matches that nearly agree, and the chance that one of them agrees exactly."""
+def _nearly_agreeing(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> tuple[NDArray[np.bool_], float]:
+    """Which matches (M,) nearly agree, and the chance that one of them agrees exactly."""
     options = coarse.options
     reach = _NEARLY_TOLERANCES * options.tolerance_mm
     moved = np.asarray(transform_points(T_a_b, matches.points_b), float)
@@ -97,7 +113,7 @@ def _nearly_agreeing(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> tu
     agree = np.linalg.norm(points_a[i] - moved[j], axis=1) <= _FREEDOM * options.tolerance_mm
     even = (_FREEDOM / _NEARLY_TOLERANCES) ** 2
     chance = (agree.sum() + _PRIOR_PAIRS * even) / (len(i) + _PRIOR_PAIRS)
-    return count_places(points_a, options.distinct_mm), float(max(chance, even))
+    return np.asarray(near), float(max(chance, even))
 
 
 def _pairs_within(a: Array, b: Array, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -11,6 +11,7 @@ from planish.geometry import Array, fit_rigid, invert, rotation_angle, transform
 from planish.measurement import Measurement
 from planish.registration.consensus import Candidate, CoarseResult
 from planish.registration.matches import Matches
+from planish.registration.refine.anchor import Anchor
 from planish.registration.texture.resample import TextureImage
 from planish.registration.verdict.aligned import Side, sample
 from planish.registration.verdict.false_alarms import (
@@ -19,7 +20,13 @@ from planish.registration.verdict.false_alarms import (
     log10_of_product,
     log10_transforms,
 )
-from planish.registration.verdict.verify import VerifyOptions, Windows, apart_from, correlate_windows
+from planish.registration.verdict.verify import (
+    VerifyOptions,
+    Windows,
+    apart_from,
+    correlate_windows,
+    screening_step,
+)
 
 
 @dataclass(frozen=True)
@@ -70,6 +77,18 @@ class Hypothesis:
         return float(np.sqrt(((moved - points_a) ** 2).sum(1).mean()))
 
 
+    def anchor(self) -> Anchor | None:
+        """Return what the agreeing windows hold the refinement by, or None where they are hardly more than chance."""
+        agrees, windows = self.windows.agrees, self.windows
+        by_chance = windows.chance * len(windows)
+        if agrees.sum() < max(_MIN_WINDOWS, _CREDIBLE * by_chance):
+            return None
+        scatter = np.sqrt((windows.offset_mm[agrees] ** 2).mean() / 2)
+        # Those that agree by chance say nothing.
+        counted = 1 - by_chance / agrees.sum()
+        return Anchor(self.T_a_b, windows.points_a[agrees], float(scatter / np.sqrt(counted)))
+
+
 #: Transforms are fitted to what agrees at most so often.
 _FITS = 3
 #: Windows are fitted to where they agree so many times more often than by chance: else chance would draw the fit.
@@ -95,22 +114,36 @@ def weigh(
     the consensus has looked at (`looked_at_mm` around its place). Where these are none, all windows are
     counted against all transforms that could have been tried. Of both ways the better counts, twice.
     """
-    windows = correlate_windows(a, b, candidate.T_a_b, options)
-    by_matches = log10_by_matches(matches, candidate.T_a_b, candidate.places, coarse)
+    by_matches = log10_by_matches(matches, candidate.members, candidate.T_a_b, coarse, looked_at_mm)
+    members = matches.take(candidate.members)
     reach = looked_at_mm + options.window_mm / 2
-    free = windows.take(apart_from(windows, matches.points_a[candidate.members], reach))
-    # Both candidates of a pair are weighed.
-    product = log10_of_product(by_matches, log10_by_windows(free)) + np.log10(max(1, len(coarse.candidates)))
-    T, windows = _fitted(a, b, matches.take(candidate.members), candidate.T_a_b, windows, options)
-    exhaustive = log10_by_windows(windows) + log10_transforms(_area_mm2(a.images, b.images), options.agree_mm)
-    alarms = float(min(product, exhaustive) + np.log10(2))
+
+    def product(windows: Windows) -> float:
+        free = windows.take(apart_from(windows, members.points_a, reach))
+        # All candidates of a pair are weighed.
+        return log10_of_product(by_matches, log10_by_windows(free)) + float(np.log10(max(1, len(coarse.candidates))))
+
+    T, exhaustive, every = candidate.T_a_b, np.inf, screening_step(a, options)
+    windows = correlate_windows(a, b, T, options, every)
+    alarms = product(windows)
+    # Of most pairs that do not overlap a part of the windows shows that nothing agrees.
+    if every == 1 or alarms < 0 or log10_by_windows(windows) < _WORTH_A_LOOK:
+        windows = windows if every == 1 else correlate_windows(a, b, T, options)
+        alarms = product(windows)
+        T, windows = _fitted(a, b, members, T, windows, options)
+        exhaustive = log10_by_windows(windows) + log10_transforms(_area_mm2(a.images, b.images), options.agree_mm)
+    alarms = float(min(alarms, exhaustive) + np.log10(2))
     if alarms >= 0:
         # No evidence: the consensus alone says how far from significance it is.
         alarms = max(alarms, by_matches)
     return Hypothesis(
-        T, candidate.members, candidate.places, matches.points_a[candidate.members], windows, alarms, exhaustive,
+        T, candidate.members, candidate.places, members.points_a, windows, alarms, exhaustive,
         _moved_px(matches, candidate.members, windows),
     )  # fmt: skip
+
+
+#: log10 of the chance of the screened windows below which all are looked at.
+_WORTH_A_LOOK = np.log10(0.2)
 
 
 def as_hypothesis(a: Side, b: Side, T_a_b: Array, options: VerifyOptions) -> Hypothesis:

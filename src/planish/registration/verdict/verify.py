@@ -91,15 +91,19 @@ class Windows:
         return Windows(**{name: part if name == "chance" else part[index] for name, part in parts.items()})
 
 
-def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | None = None) -> Windows:
-    """Return the windows of the common region under T_a_b, each with the peak of its correlation."""
+def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | None = None, every: int = 1) -> Windows:
+    """Return the windows of the common region under T_a_b, each with the peak of its correlation.
+
+    Of the grid of windows, every so many along both axes are looked at.
+    """
     options = options or VerifyOptions()
     window, search = _size_px(a.images, options)
     pitch = a.images[0].pitch_mm if a.images else 1.0
     rows = np.arange(2 * search + 1) - search
     near = (rows[:, None] ** 2 + rows[None, :] ** 2 <= (options.agree_mm / pitch) ** 2).ravel()
-    charts = align(a, b, T_a_b, options.gate_mm)
-    cut = [(number, part) for number, part in enumerate(_cut(c, options) for c in charts) if len(part.centre)]
+    lattice_px = None if every == 1 else (every * window, window + 2 * search)
+    charts = align(a, b, T_a_b, options.gate_mm, lattice_px)
+    cut = [(number, part) for number, part in enumerate(_cut(c, options, every) for c in charts) if len(part.centre)]
     if not cut:
         return _no_windows(float(near.mean()))
     value_a, value_b, noise = (np.concatenate([getattr(part, name) for _, part in cut]) for name in ("a", "b", "noise"))
@@ -117,6 +121,16 @@ def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | N
         cell, points, pixels_a, pixels_b, found_b, offset_px * pitch, flat[:, near].max(1), near[peak],
         float(near.mean()), expected,
     )  # fmt: skip
+
+
+def screening_step(a: Side, options: VerifyOptions) -> int:
+    """Return `every` of `correlate_windows` that leaves some hundreds of windows: enough to see whether any agree."""
+    total = sum(int(image.mask.sum()) for image in a.images) / _size_px(a.images, options)[0] ** 2
+    return max(1, round(float(np.sqrt(total / _SCREENED))))
+
+
+#: Windows on a when a transform is screened.
+_SCREENED = 200
 
 
 def _no_windows(chance: float) -> Windows:
@@ -187,11 +201,11 @@ class _Cut:
 _KNOWN = 0.8
 
 
-def _cut(chart: Aligned, options: VerifyOptions) -> _Cut:
+def _cut(chart: Aligned, options: VerifyOptions, every: int) -> _Cut:
     window, search = _size_px((chart.image,), options)
     size = window + 2 * search
     height, width = chart.common.shape
-    rows, columns = (np.arange(search, n - window - search + 1, window) for n in (height, width))
+    rows, columns = (np.arange(search, n - window - search + 1, every * window) for n in (height, width))
     row, column = (x.ravel() for x in np.meshgrid(rows, columns, indexing="ij"))
     centre = np.column_stack([row, column]) + window // 2
     nothing = np.empty((0, size, size), np.float32)
