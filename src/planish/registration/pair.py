@@ -134,14 +134,14 @@ def register_pair(
     options = options or PairOptions()
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     result = _judged(a, b, matches, options, pairs_in_run, threads)
-    if result.status != "refused" or not _asks_for_windows(a, b, options.dense):
+    if result.status == "accepted" or not _asks_for_windows(a, b, options.dense):
         return result
     windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
     tried = pairs_in_run * windows.tried
     second = _judged(a, b, windows.matches, options, tried, threads, windows.chance)
-    # Of two refusals the one that says more.
+    # Where neither is accepted, the one that says more.
     better = second.log10_false_alarms < result.log10_false_alarms
-    return second if second.status != "refused" or better else result
+    return second if second.status == "accepted" or better else result
 
 
 def _judged(
