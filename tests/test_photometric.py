@@ -52,6 +52,63 @@ def test_slow_shading_leaves_the_contrast(clean):
     assert np.nanstd(shaded - value) < SHADING_SHARE * np.nanstd(value)
 
 
+def test_another_lamp_leaves_the_contrast_within_its_noise(clean):
+    value, sigma = local_contrast(clean)
+    columns = np.indices(clean.shape)[1] / clean.shape[1]
+    lit, _ = local_contrast(with_image(clean, clean.views["A"].mean * (0.4 + 1.2 * columns)))
+    assert np.nanstd(lit - value) < 0.5 * np.nanmedian(sigma)
+    # Light that the texture does not shape makes it paler, by its share of the light; the picture stays the same.
+    offset, _ = local_contrast(with_image(clean, clean.views["A"].mean + 20))
+    known = np.isfinite(value)
+    assert np.corrcoef(value[known], offset[known])[0, 1] > 0.9999
+    paler = float((value[known] @ offset[known]) / (value[known] @ value[known]))
+    assert paler == pytest.approx(100 / 120, abs=0.01)
+
+
+def with_all_kinds(clean, seed, third_harmonic=0.0):
+    """White, mean and modulation of three times four-step fringes with their joint noise."""
+    rng, albedo = np.random.default_rng(seed), clean.views["A"].mean / 100
+    columns = np.indices(clean.shape)[1]
+    images, steps = [], np.arange(4)
+    for period in (7.0, 29.0, 101.0):
+        phase = 2 * np.pi * columns / period
+        light = [95 + 85 * np.cos(phase - np.pi / 2 * k) for k in steps]
+        light = [
+            level + third_harmonic * np.cos(3 * (phase - np.pi / 2 * k)) for level, k in zip(light, steps, strict=True)
+        ]
+        images += [albedo * level for level in light]
+    images = [i + np.sqrt(sheets.NOISE.variance(i)) * rng.standard_normal(i.shape) for i in images]
+    amplitudes = [np.abs(sum(images[4 * p + k] * np.exp(0.5j * np.pi * k) for k in steps)) / 2 for p in range(3)]
+    white = 180 * albedo
+    white = white + np.sqrt(sheets.NOISE.variance(white)) * rng.standard_normal(white.shape)
+    kinds = {"white": white, "modulation": np.mean(amplitudes, axis=0)}
+    return with_image(
+        clean, np.mean(images, axis=0), sheets.NOISE, mean_images=12,
+        **{name: image.astype(np.float32) for name, image in kinds.items()},
+    )  # fmt: skip
+
+
+def test_the_noise_that_mean_and_modulation_share_is_counted_once(clean):
+    taken = [with_all_kinds(clean, seed) for seed in range(12)]
+    values, sigmas = zip(*map(local_contrast, taken), strict=True)
+    inner = np.s_[10:-10, 10:-10]
+    scatter = np.sqrt(np.var(values, axis=0, ddof=1)[inner].mean())
+    stated = np.sqrt(np.mean(np.square(sigmas)[:, inner[0], inner[1]]))
+    assert scatter == pytest.approx(stated, rel=0.04)
+    alone = local_contrast(with_image(clean, taken[0].views["A"].mean))[1]
+    assert stated < 0.95 * np.nanmedian(alone)
+
+
+def test_modulation_that_holds_residual_fringes_counts_less(clean):
+    """A harmonic of 4 % makes the amplitude of four steps wave by as much as the noise; the mean stays free of it."""
+    value, _ = local_contrast(clean)
+
+    def error(fringes):
+        return np.nanstd((local_contrast(with_all_kinds(clean, 3, fringes))[0] - value)[10:-10, 10:-10])
+
+    assert error(4.0) < 1.1 * error(0.0)
+
+
 def test_a_surface_without_texture_has_no_contrast(clean):
     value, _ = local_contrast(with_image(clean, np.full(clean.shape, 90.0)))
     assert np.nanmax(np.abs(value)) < ROUNDING

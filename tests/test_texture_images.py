@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -10,9 +12,11 @@ import sheets
 import synthetic
 from planish import _core
 from planish.geometry import exp_se3
+from planish.measurement import View
 from planish.registration.surface import fit_surface
-from planish.registration.texture.photometric import local_contrast
+from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.texture.resample import texture_images
+from planish.rig import Rig
 from reference import chart as reference
 
 #: float32 barycentric weights of triangles about a pixel wide.
@@ -61,7 +65,7 @@ def test_pixels_find_their_place_on_the_unrolled_surface_as_defined():
 def test_a_tiny_chart_is_rastered_as_defined():
     points, normals, nodes = tiny_chart()
     places, extent = _core.chart_coordinates(points, nodes, 2, 9.0, 1)
-    source = _core.rasterise_chart(places, *extent[:2], 0.35, 2.5, 24, 30)
+    source = _core.rasterise_chart(places, *extent[:2], 0.35, 2.5, 24, 30, 2)
     twin = reference.rasterise(places.astype(float), np.array(extent[:2]), 0.35, 2.5, 24, 30)
     known = np.isfinite(source[..., 0])
     assert 100 < known.sum() < known.size
@@ -84,6 +88,33 @@ def test_the_kernels_give_the_same_bytes_for_any_number_of_threads():
     for name in type(drawn[0]).__dataclass_fields__:
         one, other = (np.asarray(getattr(image, name)) for image in drawn)
         assert one.tobytes() == other.tobytes(), name
+
+
+def seen_by_two(m, seed):
+    """A measurement of an even grey, read between the pixels of the second camera, with noise of both."""
+    rng, deviation = np.random.default_rng(seed), np.sqrt((sheets.NOISE.offset + sheets.NOISE.slope * 100) / 12)
+    images = {name: (100 + deviation * rng.standard_normal(m.shape)).astype(np.float32) for name in "AB"}
+    views = {name: View(None, image, None, 12, sheets.NOISE, 255.0) for name, image in images.items()}
+    rows, columns = np.indices(m.shape).astype(np.float32)
+    place = np.stack([1.003 * columns + 0.2, 0.998 * rows + 0.4], -1)
+    return replace(
+        m, rig=Rig(dict.fromkeys("AB", m.camera)), views=views, correspondence_px=place, texture_views=("A", "B")
+    )
+
+
+@pytest.mark.parametrize("pitch_gsd", [1.0, 1.5, 2.0])
+def test_the_stated_sigma_of_a_texture_image_is_the_scatter_of_its_values(pitch_gsd):
+    plate = sheets.quiet("a", 0.0)
+    surface = fit_surface(plate)
+    pitch = pitch_gsd * plate.sample_distance_mm
+    seen = [seen_by_two(plate, seed) for seed in range(10)]
+    # A low-pass as wide against the pixels as it is at half resolution: the noise it takes with it is no part of sigma.
+    options = PhotometricOptions(shading_mm=4 * plate.sample_distance_mm)
+    drawn = [texture_images(m, surface, local_contrast(m, options, surface), pitch)[0] for m in seen]
+    inner = cv2.erode(drawn[0].mask.astype(np.uint8), np.ones((15, 15))) > 0
+    scatter = np.var([i.value[inner] for i in drawn], axis=0, ddof=1).mean()
+    stated = np.mean([i.sigma[inner] ** 2 for i in drawn])
+    assert 0.93 < np.sqrt(scatter / stated) < 1.05
 
 
 def test_pictures_are_not_mirrored_and_upright_as_the_camera_sees_them(bent):

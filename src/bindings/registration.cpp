@@ -54,25 +54,13 @@ nb::tuple chart_surface(const In<float, 3>& source, const In<float, 3>& points, 
 }
 
 Out<float, 3> rasterise_chart(const In<float, 3>& coordinates, double x, double y, double pitch, double max_edge,
-                              int height, int width) {
+                              int height, int width, int threads) {
     Owned<float> source(height, width, 2);
     {
         nb::gil_scoped_release release;
-        planish::rasterise_chart(view<float, 3>(coordinates), {x, y, pitch}, max_edge, source.image);
+        planish::rasterise_chart(view<float, 3>(coordinates), {x, y, pitch}, max_edge, threads, source.image);
     }
     return source.maps();
-}
-
-nb::tuple sample_chart(const In<float, 2>& value, const In<float, 2>& sigma, const In<float, 3>& source,
-                       float interpolated, int threads) {
-    const auto places = view<float, 3>(source);
-    Owned<float> out_value(places.height, places.width, 1), out_sigma(places.height, places.width, 1);
-    {
-        nb::gil_scoped_release release;
-        planish::sample_chart(view<float, 2>(value), view<float, 2>(sigma), places, interpolated, threads,
-                              out_value.image, out_sigma.image);
-    }
-    return nb::make_tuple(out_value.map(), out_sigma.map());
 }
 
 /// Points (M, 3) and frames (M, 3, 3) of both sides of M matches. Returns transforms (K, 4, 4), best first, and their
@@ -282,9 +270,8 @@ void bind_registration(nb::module_& m) {
     m.def("fit_surface", &fit_surface, "points"_a, "camera"_a, "radius"_a, "max_slope"_a, "threads"_a);
     m.def("chart_coordinates", &chart_coordinates, "points"_a, "nodes"_a, "step"_a, "max_height"_a, "threads"_a);
     m.def("rasterise_chart", &rasterise_chart, "coordinates"_a, "x"_a, "y"_a, "pitch"_a, "max_edge"_a, "height"_a,
-          "width"_a);
+          "width"_a, "threads"_a);
     m.def("chart_surface", &chart_surface, "source"_a, "points"_a, "normals"_a, "nodes"_a, "step"_a, "threads"_a);
-    m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "source"_a, "interpolated"_a, "threads"_a);
     m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
           "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,

@@ -10,6 +10,7 @@
 #include "bindings/bindings.hpp"
 #include "core/contrast.hpp"
 #include "core/fixed_pattern.hpp"
+#include "core/sample_chart.hpp"
 
 namespace {
 
@@ -69,6 +70,18 @@ nb::tuple merge_contrasts(const nb::list& views, const In<std::uint8_t, 2>& vali
     return nb::make_tuple(value.map(), sigma.map());
 }
 
+nb::tuple sample_chart(const In<float, 2>& value, const In<float, 2>& sigma, const In<float, 3>& source,
+                       float interpolated, int threads) {
+    const auto places = view<float, 3>(source);
+    Owned<float> out_value(places.height, places.width, 1), out_sigma(places.height, places.width, 1);
+    {
+        nb::gil_scoped_release release;
+        planish::sample_chart(view<float, 2>(value), view<float, 2>(sigma), places, interpolated, threads,
+                              out_value.image, out_sigma.image);
+    }
+    return nb::make_tuple(out_value.map(), out_sigma.map());
+}
+
 using Sums = nb::ndarray<float, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
 planish::Image<float> writable(const Sums& map) {
@@ -105,6 +118,7 @@ void bind_texture(nb::module_& m) {
     m.def("block_sums", &block_sums, "image"_a, "low"_a, "high"_a, "factor"_a, "threads"_a);
     m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "inverse_level"_a, "weight"_a, "noise"_a,
           "factor"_a, "limit"_a, "threads"_a);
+    m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "source"_a, "interpolated"_a, "threads"_a);
     m.def("add_to_pattern", &add_to_pattern, "value"_a, "weight"_a, "factor"_a, "sum"_a, "weights"_a, "threads"_a);
     m.def("remove_pattern", &remove_pattern, "value"_a, "variance"_a, "own"_a, "sum"_a, "weight"_a, "prior"_a,
           "still"_a, "gain"_a, "factor"_a, "threads"_a);

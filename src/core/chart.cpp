@@ -64,14 +64,21 @@ struct Corner {
     float u, v;  // camera pixels
 };
 
-/// Fills the pixels of `source` inside a triangle that are still empty.
-void fill(const Image<float>& source, const Corner& a, const Corner& b, const Corner& c) {
-    const float area = (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y);
-    if (!(std::fabs(area) > 1e-9F)) return;
+/// Rows of a raster.
+struct Band {
+    int first, end;
+};
+
+/// Fills the pixels of a band of `source` inside a triangle that are still empty.
+void fill(const Image<float>& source, const Band& band, const Corner& a, const Corner& b, const Corner& c) {
+    const int y0 = std::max(band.first, static_cast<int>(std::ceil(std::min({a.y, b.y, c.y}))));
+    const int y1 = std::min(band.end - 1, static_cast<int>(std::floor(std::max({a.y, b.y, c.y}))));
     const int x0 = std::max(0, static_cast<int>(std::ceil(std::min({a.x, b.x, c.x}))));
     const int x1 = std::min(source.width - 1, static_cast<int>(std::floor(std::max({a.x, b.x, c.x}))));
-    const int y0 = std::max(0, static_cast<int>(std::ceil(std::min({a.y, b.y, c.y}))));
-    const int y1 = std::min(source.height - 1, static_cast<int>(std::floor(std::max({a.y, b.y, c.y}))));
+    // Most triangles lie between the raster's pixels.
+    if (y0 > y1 || x0 > x1) return;
+    const float area = (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y);
+    if (!(std::fabs(area) > 1e-9F)) return;
     for (int y = y0; y <= y1; ++y)
         for (int x = x0; x <= x1; ++x) {
             const auto fx = static_cast<float>(x), fy = static_cast<float>(y);
@@ -85,6 +92,38 @@ void fill(const Image<float>& source, const Corner& a, const Corner& b, const Co
             out[0] = wa * a.u + wb * b.u + wc * c.u;
             out[1] = wa * a.v + wb * b.v + wc * c.v;
         }
+}
+
+/// The corners of one camera row, and the raster rows that they reach.
+struct Line {
+    std::vector<Corner> corners;
+    float top = std::numeric_limits<float>::infinity(), bottom = -top;
+};
+
+Line read_line(const Image<const float>& coordinates, const ChartRaster& raster, int v) {
+    Line line;
+    line.corners.resize(coordinates.width);
+    for (int u = 0; u < coordinates.width; ++u) {
+        const float* p = coordinates.at(v, u);
+        const auto y = static_cast<float>((p[1] - raster.y) / raster.pitch);
+        line.corners[u] = {static_cast<float>((p[0] - raster.x) / raster.pitch), y, static_cast<float>(u),
+                           static_cast<float>(v)};
+        if (y < line.top) line.top = y;  // false for NaN
+        if (y > line.bottom) line.bottom = y;
+    }
+    return line;
+}
+
+void fill_between(const Image<float>& source, const Band& band, const Line& above, const Line& below, float limit) {
+    const auto near = [&](const Corner& a, const Corner& b) {  // false for NaN
+        return std::fabs(a.x - b.x) <= limit && std::fabs(a.y - b.y) <= limit;
+    };
+    for (std::size_t u = 0; u + 1 < above.corners.size(); ++u) {
+        const Corner &a = above.corners[u], &b = above.corners[u + 1], &c = below.corners[u], &d = below.corners[u + 1];
+        if (!near(b, c)) continue;
+        if (near(a, b) && near(a, c)) fill(source, band, a, b, c);
+        if (near(d, b) && near(d, c)) fill(source, band, d, c, b);
+    }
 }
 
 }  // namespace
@@ -118,33 +157,24 @@ ChartExtent chart_coordinates(const Image<const float>& points, const Image<cons
     return extents[0];
 }
 
-void rasterise_chart(const Image<const float>& coordinates, const ChartRaster& raster, double max_edge,
+void rasterise_chart(const Image<const float>& coordinates, const ChartRaster& raster, double max_edge, int threads,
                      const Image<float>& source) {
     std::fill_n(source.data, source.pixels() * 2, std::numeric_limits<float>::quiet_NaN());
-    std::vector<Corner> above(coordinates.width), below(coordinates.width);
-    const auto read = [&](int v, std::vector<Corner>& line) {
-        for (int u = 0; u < coordinates.width; ++u) {
-            const float* p = coordinates.at(v, u);
-            line[u] = {static_cast<float>((p[0] - raster.x) / raster.pitch),
-                       static_cast<float>((p[1] - raster.y) / raster.pitch), static_cast<float>(u),
-                       static_cast<float>(v)};
-        }
-    };
+    std::vector<Line> lines(coordinates.height);
+    parallel_for(lines.size(), threads, [&](std::size_t first, std::size_t last) {
+        for (std::size_t v = first; v < last; ++v) lines[v] = read_line(coordinates, raster, static_cast<int>(v));
+    });
     const auto limit = static_cast<float>(max_edge / raster.pitch);
-    const auto near = [&](const Corner& a, const Corner& b) {  // false for NaN
-        return std::fabs(a.x - b.x) <= limit && std::fabs(a.y - b.y) <= limit;
-    };
-    read(0, above);
-    for (int v = 1; v < coordinates.height; ++v) {
-        read(v, below);
-        for (int u = 0; u + 1 < coordinates.width; ++u) {
-            const Corner &a = above[u], &b = above[u + 1], &c = below[u], &d = below[u + 1];
-            if (!near(b, c)) continue;
-            if (near(a, b) && near(a, c)) fill(source, a, b, c);
-            if (near(d, b) && near(d, c)) fill(source, d, c, b);
+    // Bands of the raster side by side: every pixel meets the same triangles in the same order, whatever the bands.
+    parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {
+        const Band band{static_cast<int>(first), static_cast<int>(last)};
+        for (std::size_t v = 1; v < lines.size(); ++v) {
+            const Line &above = lines[v - 1], &below = lines[v];
+            if (std::min(above.top, below.top) <= static_cast<float>(last) &&
+                std::max(above.bottom, below.bottom) >= static_cast<float>(first))
+                fill_between(source, band, above, below, limit);
         }
-        std::swap(above, below);
-    }
+    });
 }
 
 void chart_surface(const Image<const float>& source, const Image<const float>& points,

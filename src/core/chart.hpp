@@ -27,7 +27,7 @@ struct ChartRaster {
 /// For every pixel of the raster the place (u, v) on the camera's pixel grid, by linear interpolation over the two
 /// triangles between four neighbouring pixels; NaN where there is none. Triangles with an edge longer than `max_edge`
 /// [mm] bridge a gap and are left out; where the chart folds over itself, the first in the camera's order counts.
-void rasterise_chart(const Image<const float>& coordinates, const ChartRaster& raster, double max_edge,
+void rasterise_chart(const Image<const float>& coordinates, const ChartRaster& raster, double max_edge, int threads,
                      const Image<float>& source);
 
 /// What the surface is at each pixel of a raster with `source` from `rasterise_chart`: point, unit normal, and the unit
@@ -38,13 +38,5 @@ struct ChartSurface {
 void chart_surface(const Image<const float>& source, const Image<const float>& points,
                    const Image<const float>& normals, const Image<const float>& nodes, int step,
                    const ChartSurface& out, int threads);
-
-/// Value and standard deviation of a map at the places `source` of a chart, by cubic convolution. Where chart pixels
-/// are larger than the map's, the kernel widens with them: what the chart cannot show is averaged, not folded into it.
-/// `sigma` is that of errors of which the share `interpolated` of the variance has been read by cubic convolution
-/// before, so that neighbours share it; the rest is independent. NaN where the kernel's core meets NaN; its outer part
-/// leaves NaN out.
-void sample_chart(const Image<const float>& value, const Image<const float>& sigma, const Image<const float>& source,
-                  float interpolated, int threads, const Image<float>& out_value, const Image<float>& out_sigma);
 
 }  // namespace planish

@@ -1,9 +1,10 @@
+#include "core/sample_chart.hpp"
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
 
-#include "core/chart.hpp"
 #include "core/cubic.hpp"
 #include "core/parallel.hpp"
 

@@ -38,7 +38,7 @@ def chart_coordinates(
     points: F32, nodes: F32, step: int, max_height: float, threads: int
 ) -> tuple[F32, tuple[float, float, float, float]]: ...
 def rasterise_chart(
-    coordinates: F32, x: float, y: float, pitch: float, max_edge: float, height: int, width: int
+    coordinates: F32, x: float, y: float, pitch: float, max_edge: float, height: int, width: int, threads: int
 ) -> F32: ...
 def chart_surface(
     source: F32, points: F32, normals: F32, nodes: F32, step: int, threads: int

@@ -123,7 +123,7 @@ def _rasterised(
     flat = flat - np.nanmin(flat, axis=(0, 1))
     # Drawn twice as fine and averaged, so that what the pitch cannot hold does not fold back.
     width, height = (2 * (int(n / pitch_mm) + 1) for n in np.nanmax(flat, axis=(0, 1)))
-    source = _core.rasterise_chart(flat, 0.0, 0.0, pitch_mm / 2, _MAX_EDGE_GSD * gsd, height, width)
+    source = _core.rasterise_chart(flat, 0.0, 0.0, pitch_mm / 2, _MAX_EDGE_GSD * gsd, height, width, 1)
     u, v = (np.nan_to_num(source[..., i], nan=-1e4) for i in (0, 1))
 
     def drawn(image: Map) -> Map:

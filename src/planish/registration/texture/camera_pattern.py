@@ -15,13 +15,19 @@ from planish.measurement import Map, Measurement
 BLOCK_PX = 4
 #: The variance of a contrast is averaged with a Gaussian of this deviation [blocks].
 _VARIANCE_BLOCKS = 2.0
+#: Standard deviation of the Gaussian that parts the bands [px].
+_SPLIT_PX = 1.0
+#: Share of the variance of white noise in the fine and the coarse band: |delta - g|^2 and |g|^2 of that Gaussian.
+BAND_NOISE = (1 - 2 / (2 * np.pi * _SPLIT_PX**2) + 1 / (4 * np.pi * _SPLIT_PX**2), 1 / (4 * np.pi * _SPLIT_PX**2))
+#: Pixels per independent value of white noise in each band: sum of the squared autocorrelation, exp(-d^2 / 4 s^2).
+BAND_CELLS_PX = (1.0, 2 * np.pi * _SPLIT_PX**2)
 #: Contrasts are never weighted as if they varied less than this (rms).
 _MIN_DEVIATION = 1e-4
 
 
 @dataclass(frozen=True)
-class CameraPattern:
-    """The relative gain of one camera's pixels: sums over captures, and what is known of the pattern beforehand.
+class BandPattern:
+    """The relative gain of one camera's pixels in one band: sums over captures, and what is known of it beforehand.
 
     The sums are kept, not the gain, so that each capture can be corrected by all the others: its own texture and noise
     stay out of its correction.
@@ -54,9 +60,29 @@ class CameraPattern:
             self.prior, self.still, self.gain, BLOCK_PX, threads,
         )  # fmt: skip
 
+
+@dataclass(frozen=True)
+class CameraPattern:
+    """The pattern of one camera: a fine and a coarse band, of which texture hides the coarse one more."""
+
+    bands: tuple[BandPattern, BandPattern]
+
+    def remove(self, value: Map, variance: Map, counted: Map | None, threads: int) -> tuple[Map, Map]:
+        """Return contrast and variance (H, W) without the pattern; what stays uncertain of it is added to the variance.
+
+        `counted` (h, w) tells the blocks with which the contrast took part in the estimate, None where it did not.
+        """
+        rest, total = np.zeros_like(value), variance
+        for part, band in zip(split_bands(value), self.bands, strict=True):
+            own = None if counted is None else pattern_weights(part, threads) * counted
+            cleaned, total = band.remove(part, total, own, threads)
+            rest += cleaned
+        # The bands overlap: of a white pattern they hold this share of the variance, the rest is their covariance.
+        return rest, variance + (total - variance) / np.float32(sum(BAND_NOISE))
+
     def estimate(self, threads: int = 1) -> tuple[Map, Map]:
         """Return relative gain - 1 by all captures together, and its standard deviation, each (H, W)."""
-        nothing = np.zeros_like(self.weight)
+        nothing = np.zeros_like(self.bands[0].weight)
         value, variance = self.remove(nothing, nothing, None, threads)
         return -value, np.sqrt(variance)
 
@@ -72,10 +98,24 @@ class FixedPattern:
         """Return contrast and variance (H, W) of a measurement's camera without the pattern."""
         if camera not in self.cameras:
             return value, variance
-        own = None
-        if measurement.name in self.members:
-            own = pattern_weights(value, threads) * counted_blocks(measurement, camera)
-        return self.cameras[camera].remove(value, variance, own, threads)
+        counted = counted_blocks(measurement, camera) if measurement.name in self.members else None
+        return self.cameras[camera].remove(value, variance, counted, threads)
+
+
+def split_bands(value: Map) -> tuple[Map, Map]:
+    """Return the fine and the coarse part of a contrast (H, W); NaN stays where it is.
+
+    What is fixed to the pixels is white, texture comes through a lens: the fine part holds most of the pattern and
+    little texture.
+    """
+    known = np.isfinite(value)
+    if known.all():
+        coarse = cv2.GaussianBlur(value, (0, 0), _SPLIT_PX)
+        return value - coarse, coarse
+    total = cv2.GaussianBlur(np.where(known, value, np.float32(0)), (0, 0), _SPLIT_PX)
+    share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), _SPLIT_PX)
+    coarse = np.where(known, total / np.maximum(share, np.float32(1e-6)), np.float32(np.nan))
+    return value - coarse, coarse
 
 
 def block_moments(value: Map, threads: int) -> tuple[Map, Map]:

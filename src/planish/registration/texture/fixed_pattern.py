@@ -5,7 +5,8 @@ is what they have in common at the same pixel, unless the part or the background
 by the other camera: what one camera saw in one capture and the other, at the corresponding pixel, in another capture
 has no sensor pattern in common, only texture that did not move. From the sums of contrasts, of their squares and of
 these products over all captures follow the variances of pattern and still texture around each pixel, and with them the
-best linear estimate of the pattern (empirical Bayes). No image is kept: the memory does not grow with the captures.
+best linear estimate of the pattern (empirical Bayes), in two bands: texture hides the coarse one more than the fine
+one. No image is kept: the memory does not grow with the captures.
 """
 
 from __future__ import annotations
@@ -18,14 +19,18 @@ import numpy as np
 from planish import _core
 from planish.measurement import Map, Measurement
 from planish.options import thread_count
-from planish.registration.texture.camera_contrast import camera_contrast
+from planish.registration.texture.camera_contrast import camera_contrast, view_of_surface
 from planish.registration.texture.camera_pattern import (
+    BAND_CELLS_PX,
+    BAND_NOISE,
     BLOCK_PX,
+    BandPattern,
     CameraPattern,
     FixedPattern,
     block_moments,
     counted_blocks,
     pattern_weights,
+    split_bands,
 )
 from planish.registration.texture.lowpass import Lowpass
 from planish.registration.texture.pattern_variances import Moments, StillTexture, pattern_variances
@@ -68,7 +73,7 @@ def _image_geometry(camera: Camera) -> tuple[object, ...]:
 
 @dataclass
 class _Sums:
-    """Sums over captures of one camera: per pixel (H, W), and per block (h, w) in `moments`."""
+    """Sums over captures of one band of a camera: per pixel (H, W), and per block (h, w) in `moments`."""
 
     weighted_sum: Map
     weight: Map
@@ -78,18 +83,17 @@ class _Sums:
     def of(cls, shape: tuple[int, int]) -> _Sums:
         return cls(np.zeros(shape, np.float32), np.zeros(shape, np.float32), Moments())
 
-    def add(self, value: Map, variance: Map, weight: Map, threads: int) -> None:
+    def add(self, value: Map, noise: Map, counted: Map, threads: int) -> None:
+        weight = pattern_weights(value, threads) * counted
         _core.add_to_pattern(value, weight, BLOCK_PX, self.weighted_sum, self.weight, threads)
-        squares, count = block_moments(value, threads)
-        noise, _ = _core.block_sums(variance, -np.inf, np.inf, BLOCK_PX, threads)
-        self.moments.add(weight, squares, count, noise)
+        self.moments.add(weight, *block_moments(value, threads), noise)
 
 
 @dataclass
 class _Run:
-    """All sums of one sensor's captures."""
+    """All sums of one sensor's captures: per camera those of the fine and the coarse band."""
 
-    cameras: dict[str, _Sums] = field(default_factory=dict)
+    cameras: dict[str, tuple[_Sums, _Sums]] = field(default_factory=dict)
     still: StillTexture = field(default_factory=StillTexture)
 
 
@@ -99,21 +103,31 @@ def _estimate(taken: Sequence[Measurement], options: PhotometricOptions, threads
         _add(run, measurement, options, threads)
     first = taken[0].organised_on
     cameras = {}
-    for name, sums in run.cameras.items():
-        share = run.still.share(sums.moments.shape, own=name == first)
-        known = pattern_variances(sums.moments, sums.weighted_sum, sums.weight, share)
-        cameras[name] = CameraPattern(sums.weighted_sum, sums.weight, *known)
+    for name, bands in run.cameras.items():
+        share = run.still.share(bands[0].moments.shape, own=name == first)
+        fine, coarse = (
+            BandPattern(
+                sums.weighted_sum,
+                sums.weight,
+                *pattern_variances(sums.moments, sums.weighted_sum, sums.weight, share, cells),
+            )
+            for sums, cells in zip(bands, BAND_CELLS_PX, strict=True)
+        )
+        cameras[name] = CameraPattern((fine, coarse))
     return FixedPattern(cameras, frozenset(m.name for m in taken))
 
 
 def _add(run: _Run, measurement: Measurement, options: PhotometricOptions, threads: int) -> None:
     lowpass = Lowpass.of(options.shading_mm / ground_sample_distance(measurement), threads)
     values: dict[str, Map] = {}
-    weights: dict[str, Map] = {}
     for name in measurement.texture_views:
-        seen = camera_contrast(measurement.views[name], lowpass, options.max_contrast)
-        sums = run.cameras.setdefault(name, _Sums.of(seen.value.shape))
-        values[name] = seen.value
-        weights[name] = pattern_weights(seen.value, threads) * counted_blocks(measurement, name)
-        sums.add(seen.value, seen.variance, weights[name], threads)
-    run.still.add(measurement, values, weights[measurement.organised_on])
+        seen = camera_contrast(view_of_surface(measurement, name), lowpass, options.max_contrast)
+        values[name], shape = seen.value, (seen.value.shape[0], seen.value.shape[1])
+        bands = run.cameras.setdefault(name, (_Sums.of(shape), _Sums.of(shape)))
+        counted = counted_blocks(measurement, name)
+        noise, _ = _core.block_sums(seen.variance, -np.inf, np.inf, BLOCK_PX, threads)
+        for sums, part, share in zip(bands, split_bands(seen.value), BAND_NOISE, strict=True):
+            sums.add(part, noise * np.float32(share), counted, threads)
+        if name == measurement.organised_on:
+            weight = pattern_weights(seen.value, threads) * counted
+    run.still.add(measurement, values, weight)

@@ -132,8 +132,12 @@ class StillTexture:
             return np.nan_to_num(_smooth(total, 1.0) / _smooth(count, 1.0)).clip(0, 1)
 
 
-def pattern_variances(moments: Moments, weighted_sum: Map, weight: Map, still_share: Array) -> tuple[Map, Map, Map]:
+def pattern_variances(
+    moments: Moments, weighted_sum: Map, weight: Map, still_share: Array, cell_px: float
+) -> tuple[Map, Map, Map]:
     """Return the variance of the pattern, that of still texture, and the information per weight (each (h, w)).
+
+    White noise has one independent value per `cell_px` pixels.
 
     Two captures' covariance at the same pixel is that of the pattern and of still texture; the rest of their variance
     is noise, which is known, and texture. The pattern is taken to be alike over the sensor (its response), but for
@@ -167,7 +171,8 @@ def pattern_variances(moments: Moments, weighted_sum: Map, weight: Map, still_sh
     with np.errstate(divide="ignore", invalid="ignore"):
         captures = np.maximum(np.nan_to_num((pairs + m["ww"]) / m["ww"], nan=1.0), 1.0 + 1e-6)
         # Deviation of the covariance of independent captures: noise has as many cells as pixels, texture fewer.
-        chance = np.sqrt((variance**2 + (_CORRELATED_PX * texture) ** 2) / window * 2 / (captures * (captures - 1)))
+        spread = (cell_px * variance**2 + (_CORRELATED_PX * texture) ** 2) / window
+        chance = np.sqrt(2 * spread / (captures * (captures - 1)))
         part = np.nan_to_num(m["ww"] / m["w"])
     dust = (local - prior > _DUST_SIGMAS * chance) & (still_share < _MAX_STILL_AT_DUST)
     prior = np.where(dust, local, prior)

@@ -20,7 +20,7 @@ from planish import _core
 from planish.measurement import Map, Measurement
 from planish.options import Options, thread_count
 from planish.registration.surface import Surface, fit_surface
-from planish.registration.texture.camera_contrast import CameraContrast, camera_contrast
+from planish.registration.texture.camera_contrast import CameraContrast, camera_contrast, view_of_surface
 from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.lowpass import Lowpass, fill_gaps
 from planish.registration.texture.shading import projector_shading
@@ -70,7 +70,7 @@ def local_contrast(
         surface = surface or fit_surface(measurement, threads=threads)
         relative = _relative_shading(measurement, surface, lowpass, options.normal_mm)
     seen = {
-        name: camera_contrast(measurement.views[name], lowpass, options.max_contrast)
+        name: camera_contrast(view_of_surface(measurement, name), lowpass, options.max_contrast)
         for name in measurement.texture_views
     }
     if fixed is not None:

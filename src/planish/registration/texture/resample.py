@@ -21,7 +21,7 @@ _MAX_EDGE_GSD = 6.0
 #: another surface (in the middle between nodes, that is a bend of 60 degrees).
 _MAX_HEIGHT = 0.35
 #: Share of the contrast's noise that comes from the camera that was read between its pixels: cubic convolution leaves
-#: c = 0.82 of the variance per axis, the better camera counts more: 1 / (1 + c^2).
+#: c = 0.81 of the variance per axis, and the better camera counts more: 1 / (1 + c^2).
 _INTERPOLATED_SHARE = 0.6
 
 
@@ -111,31 +111,31 @@ def texture_images(
 ) -> tuple[TextureImage, ...]:
     """Return one TextureImage per chart of the measurement; `contrast` is value and sigma from `local_contrast`."""
     charts = plan_charts(measurement, surface, options)
-    gsd, count = ground_sample_distance(measurement), thread_count(threads)
-    interpolated = _INTERPOLATED_SHARE if len(measurement.texture_views) > 1 else 0.0
-    drawn = (_resample(surface, contrast, chart, pitch_mm, gsd, interpolated, count) for chart in charts)
+    count = thread_count(threads)
+    drawn = (_resample(measurement, surface, contrast, chart, pitch_mm, count) for chart in charts)
     return tuple(image for image in drawn if image is not None)
 
 
 def _resample(
+    measurement: Measurement,
     surface: Surface,
     contrast: tuple[Map, Map],
     chart: Chart,
     pitch_mm: float,
-    gsd_mm: float,
-    interpolated: float,
     threads: int,
 ) -> TextureImage | None:
+    gsd_mm = ground_sample_distance(measurement)
     max_height = _MAX_HEIGHT * chart.step_px * gsd_mm
     places, extent = _core.chart_coordinates(surface.points_sensor, chart.maps, chart.step_px, max_height, threads)
     left, top, right, bottom = extent
     if not right >= left:
         return None
     width, height = (int(np.ceil(size / pitch_mm)) + 1 for size in (right - left, bottom - top))
-    source = _core.rasterise_chart(places, left, top, pitch_mm, _MAX_EDGE_GSD * gsd_mm, height, width)
+    source = _core.rasterise_chart(places, left, top, pitch_mm, _MAX_EDGE_GSD * gsd_mm, height, width, threads)
     points, normals, x_axis = _core.chart_surface(
         source, surface.points_sensor, surface.normals_sensor, chart.maps, chart.step_px, threads
     )
+    interpolated = _INTERPOLATED_SHARE if len(measurement.texture_views) > 1 else 0.0
     value, sigma = _core.sample_chart(*contrast, source, interpolated, threads)
     # NaN in a sum is NaN in one of its terms.
     mask = np.isfinite(value + sigma + points[..., 2] + normals[..., 2])
