@@ -1,5 +1,7 @@
 """The dense path: weak textures are found by correlation of whole surfaces, and unrelated ones are not."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -8,7 +10,6 @@ from scipy.spatial import cKDTree
 from planish.geometry import compose, exp_so3, invert, transform_points
 from planish.registration.consensus import find_consensus
 from planish.registration.dense.develop import Development
-from planish.registration.dense.flatten import flatten
 from planish.registration.dense.match import DenseTexture, match_windows
 from planish.registration.dense.spectrum import analyse, plan_rotations
 from planish.registration.verdict.false_alarms import log10_false_alarms
@@ -39,7 +40,6 @@ def view(part, angle, centre, contrast, seed, pattern=0.0, cylinder_mm=None):
     v, u = np.indices(SIZE, dtype=np.float32)
     source = np.dstack([u, v])
     noise = np.random.default_rng(1).standard_normal(SIZE).astype(np.float32)
-    development = Development(PITCH, value, noise, np.ones(SIZE, bool), source)
     s_mm, t_mm = u * PITCH, v * PITCH
     if cylinder_mm is None:
         points = np.dstack([s_mm, t_mm, 0 * s_mm])
@@ -51,7 +51,8 @@ def view(part, angle, centre, contrast, seed, pattern=0.0, cylinder_mm=None):
         )  # fmt: skip
     T = np.eye(4)
     T[:2, :2], T[:2, 3] = R, shift * PITCH
-    return DenseTexture(development, analyse(development), points.astype(np.float32)), T
+    development = Development(PITCH, value, noise, np.ones(SIZE, bool), source, points.astype(np.float32))
+    return DenseTexture(development, analyse(development)), T
 
 
 def found(a, b):
@@ -64,9 +65,9 @@ def found(a, b):
 
 def error_mm(T, T_true, a, b):
     """Rms error over those points of b that truly lie on a."""
-    p = b.points_sensor.reshape(-1, 3)[::97].astype(float)
+    p = b.development.points_sensor.reshape(-1, 3)[::97].astype(float)
     true = transform_points(T_true, p)
-    common = cKDTree(a.points_sensor.reshape(-1, 3)).query(true)[0] < PITCH
+    common = cKDTree(a.development.points_sensor.reshape(-1, 3)).query(true)[0] < PITCH
     return float(np.sqrt(((transform_points(T, p) - true) ** 2).sum(1)[common].mean()))
 
 
@@ -100,7 +101,8 @@ def test_windows_carry_the_curvature_into_the_transform():
     a, _ = view(part, 0.1, (400, 400), WEAK, 14, cylinder_mm=150.0)
     b, _ = view(part, 0.9, (430, 380), WEAK, 15, cylinder_mm=150.0)
     T_sensor = compose(exp_so3([0.3, -0.2, 0.5]), [10.0, 20.0, 30.0])
-    moved = DenseTexture(b.development, b.spectrum, np.asarray(transform_points(T_sensor, b.points_sensor), np.float32))
+    points = np.asarray(transform_points(T_sensor, b.development.points_sensor), np.float32)
+    moved = replace(b, development=replace(b.development, points_sensor=points))
     best, alarms = found(a, moved)
     assert alarms < -10
     assert error_mm(best.T_a_b, invert(T_sensor), a, moved) < POSITION_TOLERANCE
@@ -142,26 +144,11 @@ def test_rotations_to_be_tried_are_few_for_a_brushed_texture_and_contain_the_tru
     assert np.abs(np.angle(np.exp(1j * (plan.angles - 0.9)))).min() < step
 
 
-#: Relative change of length by flattening what can be unrolled; a chord of the grid is shorter than its arc.
-STRAIN = 1e-3
-
-
-def test_a_cylinder_unrolls_with_its_lengths():
-    radius, step = 80.0, 5.0
-    angle, y = np.meshgrid(np.linspace(-1.0, 1.0, 33), np.arange(0, 100, step))
-    points = np.dstack([radius * np.sin(angle), y, -radius * np.cos(angle)])
-    flat, patch = flatten(points, points[..., :2])
-    assert patch.max() == 0
-    across = np.linalg.norm(flat[:, -1] - flat[:, 0], axis=1)
-    np.testing.assert_allclose(across, 2.0 * radius, rtol=STRAIN)
-    np.testing.assert_allclose(np.linalg.norm(np.diff(flat, axis=0), axis=2), step, rtol=STRAIN)
-
-
-def test_patches_without_connection_are_flattened_one_by_one():
-    x, y = np.meshgrid(np.arange(20.0), np.arange(10.0))
-    points = np.dstack([x, y, 0 * x])
-    points[:, 12] = np.nan
-    flat, patch = flatten(points, points[..., :2])
-    assert (patch[:, :12] == 0).all()
-    assert (patch[:, 13:] == 1).all()
-    assert np.isnan(flat[:, 12]).all()
+def test_a_seam_across_the_image_does_not_give_the_direction():
+    a, _ = view(texture(10, along=3.0, across=0.9), 0.2, (400, 400), WEAK, 22)
+    value = a.development.value.copy()
+    value[:, 100:102] += 4.0
+    seamed = analyse(replace(a.development, value=value))
+    plan = plan_rotations(a.spectrum, seamed, 2e4)
+    turned = np.abs(np.angle(np.exp(2j * plan.angles))) / 2
+    assert turned.max() < np.deg2rad(10.0)

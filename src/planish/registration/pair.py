@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import Options
-from planish.registration.consensus import ConsensusOptions, find_consensus
+from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
 from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows, prepare_dense, signal_to_noise
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
@@ -64,13 +64,12 @@ class Prepared:
     #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
     sides: Mapping[float, JointSide]
     fit_sides: Mapping[float, JointSide]
-    #: Pixel of the developed texture [mm].
-    dense_pitch_mm: float = float("nan")
+    dense_options: DenseOptions
 
     @cached_property
     def dense(self) -> tuple[DenseTexture, ...]:
         """The developed texture: made when the first pair asks for it."""
-        return prepare_dense(self.measurement, self.surface, self.contrast, self.dense_pitch_mm)
+        return prepare_dense(self.images, self.dense_options)
 
     @cached_property
     def signal_to_noise(self) -> float:
@@ -123,9 +122,8 @@ def prepare(
     kept = ~held_out_pixels(measurement)
     sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
     fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
-    dense_pitch = options.dense.pitch_factor * pitch_mm
     patches = patch_images(images)
-    return Prepared(measurement, surface, contrast, images, patches, keypoints, sides, fit_sides, dense_pitch)
+    return Prepared(measurement, surface, contrast, images, patches, keypoints, sides, fit_sides, options.dense)
 
 
 def register_pair(
@@ -134,32 +132,35 @@ def register_pair(
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
     options = options or PairOptions()
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
-    result = _judged(a, b, matches, options, pairs_in_run, _looked_at_mm(a, options), threads)
-    if result.status == "accepted" or not _asks_for_windows(a, b, options.dense):
+    coarse = find_consensus(matches, options.consensus, threads)
+    result = _judged(a, b, matches, coarse, _looked_at_mm(a, options), options, pairs_in_run, threads)
+    if result.status != "refused" or not _asks_for_windows(a, b, options.dense):
         return result
     windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
-    tried = pairs_in_run * windows.tried
-    # The search has looked at all of the texture: nothing is left that could confirm it independently.
-    second = _judged(a, b, windows.matches, options, tried, float("inf"), threads, windows.chance)
-    # Where neither is accepted, the one that says more.
+    coarse = find_consensus(windows.matches, options.consensus, threads, chance=windows.chance, tried=windows.tried)
+    second = _judged(a, b, windows.matches, coarse, _EVERYWHERE_MM, options, pairs_in_run, threads)
+    # Of two refusals the one that says more.
     better = second.log10_false_alarms < result.log10_false_alarms
-    return second if second.status == "accepted" or better else result
+    return second if second.status != "refused" or better else result
+
+
+#: Windows have been sought over the whole of both measurements.
+_EVERYWHERE_MM = 1e6
 
 
 def _judged(
     a: Prepared,
     b: Prepared,
     matches: Matches,
-    options: PairOptions,
-    tried: float,
+    coarse: CoarseResult,
     looked_at_mm: float | None,
+    options: PairOptions,
+    pairs_in_run: int,
     threads: int | None,
-    chance: float | None = None,
 ) -> PairResult:
-    """Return the result of these matches; `tried` counts what chance had to choose from (pairs, placements)."""
-    coarse = find_consensus(matches, options.consensus, threads, chance=chance)
+    """Return the result that these matches and their consensus lead to."""
     side_a, side_b = (Side(p.measurement, p.images, p.contrast) for p in (a, b))
-    verdict = judge_coarse(side_a, side_b, matches, coarse, tried, options.verdict, looked_at_mm, threads)
+    verdict = judge_coarse(side_a, side_b, matches, coarse, pairs_in_run, options.verdict, looked_at_mm, threads)
     first = verdict.first
     result = PairResult(
         a=a.measurement.name,

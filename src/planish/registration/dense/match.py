@@ -10,14 +10,13 @@ import numpy as np
 from pydantic import Field
 
 from planish.geometry import Array
-from planish.measurement import Map, Measurement
+from planish.measurement import Map
 from planish.options import Options, thread_count
 from planish.registration.dense.develop import Development, develop
 from planish.registration.dense.search import Placement, search
 from planish.registration.dense.spectrum import Spectrum, analyse, plan_rotations
 from planish.registration.dense.windows import Windows, find_windows
 from planish.registration.matches import Matches, no_matches
-from planish.registration.surface import Surface
 from planish.registration.texture.resample import TextureImage
 
 
@@ -27,7 +26,7 @@ class DenseOptions(Options):
     #: Whether pairs without a significant consensus of keypoints are correlated.
     enabled: bool = True
     #: Pixel of the correlated texture in pixels of the texture images.
-    pitch_factor: float = Field(default=2.0, ge=1, le=10)
+    pitch_factor: int = Field(default=2, ge=1, le=10)
     #: Only texture whose variance is below this many times that of its noise: keypoints find the rest.
     max_signal_to_noise: float = Field(default=4.0, ge=0)
     #: Distance from a common placement within which each window is sought [mm].
@@ -52,21 +51,12 @@ class DenseTexture:
 
     development: Development
     spectrum: Spectrum
-    points_sensor: Map
 
 
-def prepare_dense(
-    measurement: Measurement, surface: Surface, contrast: tuple[Map, Map], pitch_mm: float
-) -> tuple[DenseTexture, ...]:
-    """Return the developed, filtered texture of each large patch of a measurement."""
-    out = []
-    for development in develop(measurement, surface, contrast, pitch_mm):
-        u, v = (np.nan_to_num(development.source_px[..., i], nan=-1e4) for i in (0, 1))
-        points = cv2.remap(
-            surface.points_sensor, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 4
-        )
-        out.append(DenseTexture(development, analyse(development), points))
-    return tuple(out)
+def prepare_dense(images: Sequence[TextureImage], options: DenseOptions | None = None) -> tuple[DenseTexture, ...]:
+    """Return the reduced, filtered texture of each large chart of a measurement."""
+    options = options or DenseOptions()
+    return tuple(DenseTexture(d, analyse(d)) for d in develop(images, options.pitch_factor))
 
 
 @dataclass(frozen=True)
@@ -162,7 +152,7 @@ def _frames(texture: DenseTexture, at: Array, direction: Array) -> tuple[Array, 
 
     if len(at) == 0:
         return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 2))
-    points = texture.points_sensor
+    points = texture.development.points_sensor
     x = sampled(points, (step, 0)) - sampled(points, (-step, 0))
     y = sampled(points, (0, step)) - sampled(points, (0, -step))
     with np.errstate(invalid="ignore"):

@@ -85,7 +85,7 @@ def judge_coarse(
     b: Side,
     matches: Matches,
     coarse: CoarseResult,
-    pairs_in_run: float,
+    pairs_in_run: int,
     options: VerdictOptions | None = None,
     looked_at_mm: float | None = None,
     threads: int | None = None,
@@ -98,8 +98,8 @@ def judge_coarse(
     matches : Matches
     coarse : CoarseResult
         Of these matches.
-    pairs_in_run : float
-        Pairs of measurements tried in the run, times what else was tried to get these matches.
+    pairs_in_run : int
+        Pairs of measurements tried in the run.
     options : VerdictOptions, optional
     looked_at_mm : float, optional
         How far around its place a match has looked at the texture; default half a window.
@@ -129,7 +129,7 @@ class _Case:
     a: Side
     b: Side
     matches: Matches
-    pairs_in_run: float
+    pairs_in_run: int
     options: VerdictOptions
     looked_at_mm: float
     threads: int | None
@@ -153,7 +153,8 @@ class _Case:
             self.stands_still(h) or self.alarms(h) > self.options.max_log10_false_alarms for h in found
         ):
             rest = still.standing_still(self.matches, self.options.still_px)
-            moving = find_consensus(self.matches, coarse.options, self.threads, exclude=rest, chance=coarse.chance)
+            chance = coarse.chance if coarse.tried > 1 else None
+            moving = find_consensus(self.matches, coarse.options, self.threads, rest, chance, coarse.tried)
             found = self._weighed(moving, found)
         return sorted(found, key=lambda h: h.log10_false_alarms)
 
