@@ -17,6 +17,7 @@ from planish.registration.verdict.aligned import Side, sample
 from planish.registration.verdict.false_alarms import (
     log10_by_matches,
     log10_by_windows,
+    log10_false_alarms,
     log10_of_product,
     log10_transforms,
 )
@@ -113,7 +114,11 @@ def weigh(
     the consensus has looked at (`looked_at_mm` around its place). Where these are none, all windows are
     counted against all transforms that could have been tried. Of both ways the better counts, twice.
     """
-    by_matches = log10_by_matches(matches, candidate.members, candidate.T_a_b, coarse, looked_at_mm)
+    if coarse.tried > 1:
+        # Disjoint windows, each sought by itself: independent, with a known chance.
+        by_matches = log10_false_alarms(candidate.places, coarse.places, coarse.chance, coarse.tried)
+    else:
+        by_matches = log10_by_matches(matches, candidate.members, candidate.T_a_b, coarse, looked_at_mm)
     members = matches.take(candidate.members)
     reach = looked_at_mm + options.window_mm / 2
 
