@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planish import _core
-from planish.measurement import Map, NoiseModel, View
+from planish.measurement import Map, Measurement, NoiseModel, View
+from planish.registration.texture.camera_grid import surface_seen
 from planish.registration.texture.lowpass import Lowpass
 
 #: Grey values below so many standard deviations of their noise hold no texture.
@@ -61,8 +62,17 @@ class _Kind:
     variance: Map
 
 
-def camera_contrast(view: View, lowpass: Lowpass, limit: float) -> CameraContrast:
-    """Return the contrast of a view, clipped at +-`limit`."""
+def camera_contrast(measurement: Measurement, name: str, lowpass: Lowpass, limit: float) -> CameraContrast:
+    """Return the contrast of a camera where it sees the measured surface, clipped at +-`limit`.
+
+    What lies beside it, lit or not, does not enter the low-pass.
+    """
+    view, seen = measurement.views[name], surface_seen(measurement, name, lowpass)
+
+    def held(image: Map | None) -> Map | None:
+        return None if image is None else np.where(seen, image, np.float32(np.nan)).astype(np.float32, copy=False)
+
+    view = replace(view, mean=held(view.mean), white=held(view.white), modulation=held(view.modulation))
     kinds = _kinds(view, lowpass)
     names = list(kinds)
     covariance = _covariance(view, kinds)

@@ -121,7 +121,7 @@ def _add(run: _Run, measurement: Measurement, options: PhotometricOptions, threa
     lowpass = Lowpass.of(options.shading_mm / ground_sample_distance(measurement), threads)
     values: dict[str, Map] = {}
     for name in measurement.texture_views:
-        seen = camera_contrast(measurement.views[name], lowpass, options.max_contrast)
+        seen = camera_contrast(measurement, name, lowpass, options.max_contrast)
         values[name], shape = seen.value, (seen.value.shape[0], seen.value.shape[1])
         bands = run.cameras.setdefault(name, (_Sums.of(shape), _Sums.of(shape)))
         counted = counted_blocks(measurement, name)
