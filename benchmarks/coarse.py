@@ -1,88 +1,96 @@
-"""Coarse registration over thousands of drawn pairs: resumable, one JSON file per cell of 20 pairs.
+"""Coarse registration over thousands of drawn pairs, six captures per part: resumable, one JSON file per part.
 
-    python benchmarks/coarse.py --pairs 2000
-    python benchmarks/coarse.py --pairs 2000 --peers /path/to/python    (an environment with the peers, see below)
+    python benchmarks/coarse.py --pairs 2000                  (at half resolution)
+    python benchmarks/coarse.py --pairs 200 --full
+    python benchmarks/coarse.py --tables
 
-A pair succeeds where the root mean square error over the true overlap is at most 1 mm before refinement. The peers'
-environment needs `open3d`, `kiss-matcher`, numpy; plain SIFT, ratio test and 3-point RANSAC on the white image runs
-here.
+A pair succeeds where it is accepted and the root mean square error over the true overlap is at most 1 mm before
+refinement; an accepted transform that is further off after it is wrong. Plain SIFT with ratio test and 3-point RANSAC
+on the white images runs beside. With `--peers PYTHON`, an environment with `open3d` and `kiss-matcher`, every
+`--peer-every`-th pair goes through Open3D's FPFH + RANSAC and Fast Global Registration and KISS-Matcher, too.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
-import os
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from coarse_pairs import draw_case, make_pair, measure_pair, true_transform
-from coarse_sift import register_plain_sift
-from planish.errors import InputError
+from cells import Rows, cell_arguments, run_cells
+from coarse_parts import Case, Part, describe_case, draw_part, measure_part, true_transform
+from coarse_sift import register_plain_sift, sift_keypoints
+from coarse_tables import FOLDER, save_tables
 from planish.evaluation.prepared import Prepared as Evaluated
 from planish.evaluation.truth import true_overlap
 from planish.geometry import Array, transform_points
 from planish.measurement import Measurement
-from planish.options import thread_count
-from planish.registration.pair import PairOptions, common_gsd, common_pitch, length_factor, prepare, register_pair
-from render_tables import RESULTS, describe_machine
+from planish.pipeline import prepare_run
+from planish.registration.pair import register_pair
 
-CELL = 20
-#: A transform is right if it moves the overlap by less than this, root mean square [mm].
-RIGHT_MM = 1.0
-FOLDER = RESULTS / "coarse"
-
-
-def run_pair(number: int, scale: float, peers: str | None) -> dict[str, Any]:
-    """Return the record of one pair: the case, what planish says of it, what the peers say."""
-    case = draw_case(number, scale)
-    pair = make_pair(case)
-    if pair is None:
-        return {"case": case.to_json(), "skipped": "the part is too small for this overlap in this direction"}
-    T = true_transform(pair[0])
-    with tempfile.TemporaryDirectory() as folder:
-        try:
-            a, b = measure_pair(pair, Path(folder))
-        except InputError as error:
-            return {"case": case.to_json(), "skipped": None, "status": "not measured", "reason": str(error)}
-        record: dict[str, Any] = {"case": case.to_json(), "skipped": None}
-        record |= _planish(a, b, T)
-        overlap_points = record.pop("_points")
-        record["sift"] = error_mm(register_plain_sift(a, b), T, overlap_points)
-        if peers:
-            record |= _peers(a, b, T, overlap_points, peers, Path(folder))
-    return record
+#: Pairs per part on average: what the plan gives.
+PAIRS_PER_PART = 14
+#: Parts at full resolution have numbers of their own.
+FIRST_FULL = 5000
+#: Points of the overlap at which errors are evaluated.
+ERROR_POINTS = 2000
 
 
-def _planish(a: Measurement, b: Measurement, T: Array) -> dict[str, Any]:
-    options = PairOptions().scaled(length_factor(common_gsd([a, b])))
-    pitch = common_pitch([a, b])
-    first, second = (prepare(m, pitch, options, 1) for m in (a, b))
-    start = time.thread_time()
-    result = register_pair(first, second, options, 1, 1)
-    seconds = time.thread_time() - start
-    overlap, inside = true_overlap(*(Evaluated(p.measurement, p.surface, p.contrast) for p in (first, second)), T, 1)
-    points = b.points_sensor[inside].astype(float)
-    points = points[:: max(1, len(points) // 2000)]
-    return {
-        "overlap": overlap,
-        "status": result.status,
-        "reason": result.reason,
-        "matches": result.matches,
-        "consensus": result.consensus,
-        "log10_false_alarms": result.log10_false_alarms,
-        "coarse_mm": error_mm(result.T_coarse_a_b, T, points),
-        "refined_mm": error_mm(result.T_a_b, T, points),
-        "pair_cpu_s": round(seconds, 3),
-        "_points": points,
-    }
+def run_part(number: int, scale: float, peers: str | None, peer_every: int) -> Rows:
+    """Return the records of all pairs of one part: the case, what planish says of it, what the peers say."""
+    part, cases = draw_part(number, scale)
+    measured = measure_part(part)
+    rows: Rows = []
+    known = []
+    for case in cases:
+        rows.append(describe_case(part, case))
+        if {case.first, case.second} <= set(measured):
+            known.append((case, rows[-1]))
+        else:
+            rows[-1]["status"] = "not measured"
+    overlaps = register_cases(part, known, measured)
+    _plain_sift(part, known, measured, overlaps)
+    asked = [(case, row) for case, row in known if peers and (number + rows.index(row)) % peer_every == 0]
+    for case, row in asked:
+        row |= _peers(measured[case.first], measured[case.second], true_transform(part, case), overlaps[case], peers)
+    return rows
+
+
+def register_cases(
+    part: Part, known: list[tuple[Case, dict[str, Any]]], measured: Mapping[int, Measurement]
+) -> dict[Case, Array]:
+    """Add to each case's record what planish says; return points (N, 3) of b in each case's true overlap."""
+    options, prepared = prepare_run(list(measured.values()), threads=1)
+    sides = {name: Evaluated(p.measurement, p.surface, p.contrast) for name, p in prepared.items()}
+    pairs_in_run = max(1, len(measured) * (len(measured) - 1) // 2)
+    overlaps = {}
+    for case, row in known:
+        a, b = measured[case.first].name, measured[case.second].name
+        T = true_transform(part, case)
+        started = time.thread_time()
+        result = register_pair(prepared[a], prepared[b], options, pairs_in_run, 1)
+        seconds = time.thread_time() - started
+        overlap, inside = true_overlap(sides[a], sides[b], T, 1)
+        points = measured[case.second].points_sensor[inside].astype(float)
+        overlaps[case] = points[:: max(1, len(points) // ERROR_POINTS)]
+        row |= {
+            "overlap": round(overlap, 4),
+            "status": result.status,
+            "reason": result.reason,
+            "matches": result.matches,
+            "consensus": result.consensus,
+            # Of the pair alone, without the correction for the number of pairs of the run.
+            "log10_false_alarms": round(result.log10_false_alarms - float(np.log10(pairs_in_run)), 2),
+            "coarse_mm": error_mm(result.T_coarse_a_b, T, overlaps[case]),
+            "refined_mm": error_mm(result.T_a_b, T, overlaps[case]),
+            "pair_cpu_s": round(seconds, 3),
+        }
+    return overlaps
 
 
 def error_mm(T_hat: Array | None, T: Array, points_b: Array) -> float | None:
@@ -93,49 +101,44 @@ def error_mm(T_hat: Array | None, T: Array, points_b: Array) -> float | None:
     return round(float(np.sqrt((d**2).sum(1).mean())), 5)
 
 
-def _peers(a: Measurement, b: Measurement, T: Array, points: Array, python: str, folder: Path) -> dict[str, Any]:
+def _plain_sift(
+    part: Part,
+    known: list[tuple[Case, dict[str, Any]]],
+    measured: Mapping[int, Measurement],
+    overlaps: Mapping[Case, Array],
+) -> None:
+    keypoints = {index: sift_keypoints(m) for index, m in measured.items()}
+    for case, row in known:
+        T = register_plain_sift(keypoints[case.first], keypoints[case.second])
+        row["sift_mm"] = error_mm(T, true_transform(part, case), overlaps[case])
+
+
+def _peers(a: Measurement, b: Measurement, T: Array, points: Array, python: str) -> dict[str, Any]:
     clouds = {name: m.points_sensor[m.valid] for name, m in (("a", a), ("b", b))}
-    np.savez(folder / "pair.npz", **clouds)
     script = Path(__file__).with_name("coarse_peers.py")
-    files = [str(folder / name) for name in ("pair.npz", "peers.json")]
-    done = subprocess.run([python, str(script), *files], capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        return {"peers_failed": done.stderr[-500:]}
-    found = json.loads(Path(files[1]).read_text(encoding="utf-8"))
-    return {name: error_mm(np.array(item), T, points) for name, item in found.items()}
-
-
-def run_cell(cell: int, scale: float, peers: str | None) -> Path:
-    """Run the pairs of one cell and save them; a cell that is already there is kept."""
-    path = FOLDER / f"{'half' if scale < 1 else 'full'}_{cell:04d}.json"
-    if path.is_file():
-        return path
-    rows = [run_pair(number, scale, peers) for number in range(cell * CELL, (cell + 1) * CELL)]
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_suffix(f".{os.getpid()}.part")
-    temporary.write_text(json.dumps({"machine": describe_machine(), "rows": rows}, indent=1) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
-    return path
-
-
-def records() -> Iterator[dict[str, Any]]:
-    """Yield the records of all cells that are there."""
-    for path in sorted(FOLDER.glob("*_*.json")):
-        yield from json.loads(path.read_text(encoding="utf-8"))["rows"]
+    with tempfile.TemporaryDirectory() as folder:
+        files = [str(Path(folder) / name) for name in ("pair.npz", "peers.json")]
+        np.savez(files[0], **clouds)
+        done = subprocess.run([python, str(script), *files], capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            return {"peers_failed": done.stderr[-500:]}
+        found = json.loads(Path(files[1]).read_text(encoding="utf-8"))
+    return {f"{name}_mm": error_mm(np.array(item), T, points) for name, item in found.items()}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = cell_arguments(__doc__)
     parser.add_argument("--pairs", type=int, default=2000)
-    parser.add_argument("--scale", type=float, default=0.5)
+    parser.add_argument("--full", action="store_true", help="full instead of half resolution")
     parser.add_argument("--peers", help="python of the peers' environment")
-    parser.add_argument("--workers", type=int, default=thread_count())
+    parser.add_argument("--peer-every", type=int, default=40)
     arguments = parser.parse_args()
-    os.environ["PLANISH_THREADS"] = "1"
-    with ProcessPoolExecutor(arguments.workers) as pool:
-        cells = range(-(-arguments.pairs // CELL))
-        for path in pool.map(run_cell, cells, [arguments.scale] * len(cells), [arguments.peers] * len(cells)):
-            print(path, flush=True)
+    if not arguments.tables:
+        first, scale, kind = (FIRST_FULL, 1.0, "full") if arguments.full else (0, 0.5, "half")
+        numbers = range(first, first + -(-arguments.pairs // PAIRS_PER_PART))
+        cells = {f"{kind}_{n:04d}": (n, scale, arguments.peers, arguments.peer_every) for n in numbers}
+        run_cells(FOLDER, cells, run_part, arguments.workers, arguments.again)
+    save_tables()
 
 
 if __name__ == "__main__":

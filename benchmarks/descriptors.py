@@ -14,7 +14,6 @@ asks; right matches closer than 2 mm are one place. Times are those of one threa
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 import time
@@ -34,13 +33,14 @@ from planish.registration.consensus import ConsensusOptions, count_places
 from planish.registration.keypoints.detect import KeypointOptions
 from planish.registration.pair import common_gsd, common_pitch, length_factor
 from planish.registration.surface import fit_surface
+from planish.registration.texture.fixed_pattern import estimate_fixed_patterns
 from planish.registration.texture.photometric import local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
 from planish.sensing.capture.manifest import Capture
 from planish.simulation.scenes import Scene, make_scene
 from planish.simulation.texture import Grain
 from planish.simulation.writing import write_scene
-from render_tables import RESULTS, save_table
+from render_tables import save_table
 
 #: Correlation length of the isotropic grain [mm].
 ISOTROPIC_MM = 0.4
@@ -103,10 +103,11 @@ def load_pair(group: Group, surface: str, seed: int, keep: Path | None) -> Pair:
         for m, f in zip((a, b), files, strict=False):
             m.save(f)
     pitch = common_pitch([a, b])
-    images = []
+    fixed, images = estimate_fixed_patterns([a, b]), []
     for m in (a, b):
-        surface_fit = fit_surface(m)
-        images.append(texture_images(m, surface_fit, local_contrast(m, None, surface_fit), pitch))
+        fitted = fit_surface(m)
+        contrast = local_contrast(m, None, fitted, fixed.get(m.name))
+        images.append(texture_images(m, fitted, contrast, pitch))
     T = invert(scene.T_object_sensor[0]) @ scene.T_object_sensor[1]
     return Pair(images[0], images[1], T, length_factor(common_gsd([a, b])))
 
@@ -173,7 +174,6 @@ def main() -> None:
             for seed in arguments.seeds:
                 records += run_pair(group, surface, seed, arguments.keep)
                 print(group.name, surface, seed, {r["detector"]: r["places"] for r in records[-len(DETECTORS) :]})
-    (RESULTS / "descriptors-pairs.json").write_text(json.dumps(records, indent=1) + "\n", encoding="utf-8")
     columns = {"detector": "detector, descriptor", **{g.name: g.name for g in GROUPS}}
     columns |= {"keypoints": "keypoints", "detect_s": "keypoints [s]", "match_s": "matching [s]"}
     seeds = " ".join(map(str, arguments.seeds))

@@ -11,15 +11,24 @@ import pytest
 
 import matched
 import sheets
-from matched import T_TRUE
 from planish.geometry import exp_se3
-from planish.registration.consensus import find_consensus
+from planish.registration.consensus import CoarseResult, find_consensus
 from planish.registration.pair import prepare, refine_pair
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.result import Direction
-from planish.registration.verdict.false_alarms import log10_false_alarms
-from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined, runner_up
-from planish.registration.verdict.still import same_sensor, standing_still
+from planish.registration.texture.photometric import local_contrast
+from planish.registration.verdict.aligned import Side
+from planish.registration.verdict.false_alarms import (
+    chance_of_agreement,
+    dispersion,
+    log10_by_windows,
+    log10_false_alarms,
+    log10_of_product,
+)
+from planish.registration.verdict.geometry import line_of_sight
+from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined
+from planish.registration.verdict.still import geometry_stands_still, same_sensor, standing_still
+from planish.registration.verdict.verify import Windows
 
 #: Accuracy of the incomplete beta function, as a logarithm.
 LOG_TOLERANCE = 1e-6
@@ -65,48 +74,134 @@ def test_false_alarms_are_finite_for_any_small_number(places, all_places):
     assert np.isfinite(log10_false_alarms(places, all_places, 0.01, 1))
 
 
-def judge(groups, total, still=0.0, pairs=1, seed=0):
-    _, b, matches = matched.pair(np.random.default_rng(seed), total, groups)
-    coarse = find_consensus(matches)
-    return judge_coarse(coarse, runner_up(coarse, b.points_sensor.mean(0), pairs), still, pairs, OPTIONS)
+def judge(groups, total, still=0, pairs=1, seed=0):
+    """Verdict of matches alone: measurements whose charts hold no texture; the first `still` matches do not move."""
+    matches = matched.pair(np.random.default_rng(seed), total, groups)[2]
+    matches.pixels_b[:still] = matches.pixels_a[:still]
+    sides = (Side(m, (), local_contrast(m)) for m in map(sheets.quiet, "ab"))
+    return judge_coarse(*sides, matches, find_consensus(matches), pairs, OPTIONS)
 
 
 def test_a_consensus_far_above_chance_is_accepted():
-    judgement = judge(((40, T_TRUE),), 300)
-    assert judgement.status == "accepted"
-    assert "of 300 matched places agree" in judgement.reason or "matched places agree (10^-" in judgement.reason
+    verdict = judge(((40, sheets.T_TRUE),), 300)
+    assert verdict.judgement.status == "accepted"
+    assert verdict.log10_false_alarms < -20
+    assert "matched places" in verdict.judgement.reason
 
 
 def test_random_matches_are_refused_as_chance():
-    judgement = judge(((4, T_TRUE),), 300)
-    assert judgement.status == "refused"
-    assert "which chance explains" in judgement.reason
+    verdict = judge(((4, sheets.T_TRUE),), 300)
+    assert verdict.judgement.status == "refused"
+    assert "which chance explains" in verdict.judgement.reason
+
+
+def test_the_pairs_of_the_run_count():
+    one, many = (judge(((7, sheets.T_TRUE),), 60, pairs=n) for n in (1, 10**12))
+    assert (one.judgement.status, many.judgement.status) == ("accepted", "refused")
+    assert many.log10_false_alarms == pytest.approx(one.log10_false_alarms + 12)
 
 
 @pytest.mark.parametrize("total", [0, 2, 30])
 def test_where_no_three_places_agree_the_pair_is_refused(total):
-    matches = matched.pair(np.random.default_rng(3), total)[2]
-    judgement = judge_coarse(find_consensus(matches), None, 0.0, 1, OPTIONS)
-    assert judgement.status == "refused"
-    assert "no consensus" in judgement.reason
+    verdict = judge((), total, seed=3)
+    assert verdict.judgement.status == "refused"
+    assert "no consensus" in verdict.judgement.reason
+    assert verdict.first is None
 
 
-def test_what_stands_still_in_the_image_is_refused():
-    judgement = judge(((40, T_TRUE),), 300, still=0.9)
-    assert judgement.status == "refused"
-    assert "stands still" in judgement.reason
-    assert "90 %" in judgement.reason
+def test_what_stands_still_in_the_image_waits_for_the_surfaces():
+    verdict = judge(((40, sheets.T_TRUE),), 300, still=40)
+    assert verdict.unmoved
+    assert verdict.judgement.reason.startswith("nothing moved")
+
+
+def test_what_moves_is_found_behind_what_stands_still():
+    other = sheets.T_TRUE @ exp_se3([0, 0, 0, 35, 0, 0])
+    verdict = judge(((60, other), (30, sheets.T_TRUE)), 300, still=60)
+    assert verdict.judgement.status == "accepted"
+    assert not verdict.unmoved
+    assert np.abs(verdict.first.T_a_b - sheets.T_TRUE).max() < 0.5
+    assert [motion.stands_still for motion in verdict.motions] == [False, True]
 
 
 def test_two_transforms_with_much_support_are_ambiguous():
-    judgement = judge(((60, T_TRUE), (50, T_TRUE @ exp_se3([0, 0, 0, 35, 0, 0]))), 300)
-    assert judgement.status == "ambiguous"
-    assert "35.0 mm" in judgement.reason or "34.9 mm" in judgement.reason or "35.1 mm" in judgement.reason
-    assert "repeats" in judgement.reason
+    verdict = judge(((60, sheets.T_TRUE), (50, sheets.T_TRUE @ exp_se3([0, 0, 0, 35, 0, 0]))), 300)
+    assert verdict.judgement.status == "ambiguous"
+    assert verdict.runner_up.translation_mm == pytest.approx(35, abs=0.2)
+    assert f"{verdict.runner_up.translation_mm:.1f} mm" in verdict.judgement.reason
+    assert len(verdict.motions) == 2
 
 
 def test_a_weak_second_transform_does_not_make_ambiguous():
-    assert judge(((80, T_TRUE), (15, T_TRUE @ exp_se3([0, 0, 0, 35, 0, 0]))), 300).status == "accepted"
+    verdict = judge(((80, sheets.T_TRUE), (15, sheets.T_TRUE @ exp_se3([0, 0, 0, 35, 0, 0]))), 300)
+    assert verdict.judgement.status == "accepted"
+
+
+def test_a_match_that_shares_its_direction_with_all_others_agrees_more_easily():
+    rng = np.random.default_rng(2)
+    matches = matched.pair(rng, 400)[2]
+    brushed = np.broadcast_to(np.diag([1.0, -1.0, -1.0]), (400, 3, 3))
+    coarse = CoarseResult((), 1e-12, 400)
+    any_direction = chance_of_agreement(matches, np.eye(4), coarse)
+    one_direction = chance_of_agreement(replace(matches, frames_a=brushed, frames_b=brushed), np.eye(4), coarse)
+    # Orientations agree within an angle out of pi; the normals of both agree.
+    assert one_direction / any_direction == pytest.approx(np.pi / coarse.options.frame_angle_rad, rel=0.3)
+    # Places spread over 300 x 250 mm (the root of this area is the places' own), 1.5 mm around each.
+    assert one_direction == pytest.approx(np.pi * 1.5**2 / (300 * 250), rel=0.2)
+
+
+def test_two_independent_chances_multiply_as_uniform_ones_do():
+    rng = np.random.default_rng(0)
+    product = np.log10(rng.uniform(size=(20000, 2))).sum(1)
+    for log10_limit in (-1.0, -2.0):
+        share = np.mean([log10_of_product(p, 0.0) <= log10_limit for p in product])
+        assert share == pytest.approx(10**log10_limit, rel=0.15)
+
+
+def test_windows_whose_peaks_cluster_count_less():
+    rng = np.random.default_rng(0)
+    n, chance = 400, 0.05
+    agrees = np.arange(n) < 60
+    spread = windows(np.where(agrees[:, None], 0.0, rng.uniform(-4, 4, (n, 2))), agrees, chance)
+    # Forty lines of ten windows each, every line with one peak.
+    lines = np.repeat(rng.uniform(-4, 4, (n // 10, 2)), 10, axis=0)
+    clustered = windows(np.where(agrees[:, None], 0.0, lines), agrees, chance)
+    assert dispersion(spread) == 1.0
+    assert 4 < dispersion(clustered) < 20
+    assert log10_by_windows(spread) < 3 * log10_by_windows(clustered)
+
+
+def windows(offset_mm, agrees, chance):
+    n = len(agrees)
+    flat, points, pixels = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 2))
+    return Windows(np.arange(n), points, pixels, pixels, pixels, offset_mm, flat, agrees, chance, flat)
+
+
+def test_surfaces_of_one_part_do_not_hide_each_other():
+    a, b = sheets.quiet("a"), sheets.quiet("b")
+    sight = line_of_sight(a, b, sheets.T_TRUE, 1.0)
+    assert sight.meet > 500
+    assert sight.conflict < 0.01
+
+
+@pytest.mark.parametrize("lift_mm", [-12.0, 12.0])
+def test_a_surface_before_what_the_other_camera_saw_contradicts(lift_mm):
+    a, b = sheets.quiet("a"), sheets.quiet("b")
+    # Whether b is lifted off a or pushed behind it: one of the cameras sees the contradiction.
+    lifted = exp_se3([0, 0, 0, 0, 0, lift_mm]) @ sheets.T_TRUE
+    assert line_of_sight(a, b, lifted, 1.0).conflict > 0.9
+
+
+def test_a_transform_that_hides_one_surface_behind_the_other_is_refused():
+    verdict = judge(((40, exp_se3([0, 0, 0, 0, 0, 12]) @ sheets.T_TRUE),), 300)
+    assert verdict.judgement.status == "refused"
+    assert "geometry contradicts the texture" in verdict.judgement.reason
+
+
+def test_only_surfaces_that_every_motion_parts_prove_that_nothing_moved():
+    plate, bent = (refine_pair(*sheets.pair(bend=bend), sheets.T_TRUE) for bend in (0.0, sheets.ROUND))
+    assert geometry_stands_still(bent, 2 * sheets.GSD_MM)
+    assert not geometry_stands_still(plate, 100 * sheets.GSD_MM)
 
 
 def test_a_match_stands_still_if_its_pixel_does_not_move():
@@ -149,7 +244,8 @@ def test_a_direction_that_nothing_holds_is_refused(refined):
     loose = Direction(directions[0].direction, 100.0, 7.5, 0.1, False)
     judgement = judge_refined(found, (*directions[:5], loose), 0.1, OPTIONS)
     assert judgement.status == "refused"
-    assert "1 direction(s)" in judgement.reason
+    assert "1 direction(s) held by neither" in judgement.reason
+    assert "uncertain by" in judgement.reason
     assert "7.5 mm" in judgement.reason
 
 

@@ -204,8 +204,9 @@ void intersect(const nb::dict& surface_values, const Matrix& origins, const Matr
 void albedo(const nb::dict& texture_values, const Matrix& at,
             nb::ndarray<double, nb::ndim<1>, nb::c_contig, nb::device::cpu> out) {
     const planish::SurfaceTexture what = texture(texture_values);
-    planish::SurfaceTexture::Cursor cursor;
-    for (std::size_t i = 0; i < at.shape(0); ++i) out(i) = what.albedo(at(i, 0), at(i, 1), cursor);
+    std::vector<double> s(at.shape(0)), t(at.shape(0));
+    for (std::size_t i = 0; i < at.shape(0); ++i) s[i] = at(i, 0), t[i] = at(i, 1);
+    what.albedo(s, t, {out.data(), out.size()});
 }
 
 void print_factor(const nb::dict& print_values, const Matrix& at, const Matrix& footprints,

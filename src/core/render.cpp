@@ -81,6 +81,7 @@ class RowShader {
             const Expansion around(&line(next_ - 1)[column + 1], here, &line(next_ + 1)[column + 1]);
             if (!(around.smooth() && here->patch < 0)) shade(around, column);
         }
+        reflect(away_from_edges_, [this](std::size_t at, const Contribution& value) { put(at, value); });
         ++next_;
     }
 
@@ -100,6 +101,22 @@ class RowShader {
         float projected = 0, constant = 0, u = 0, v = 0;
     };
 
+    /// A sample that still lacks the reflectance of its place.
+    struct Pending {
+        std::size_t at;  ///< index in `rows`
+        double print;    ///< factor on the reflectance
+        float diffuse, specular, ambient_diffuse, ambient_specular, u, v;
+    };
+    /// Samples on one texture, whose reflectance is asked for at once.
+    struct Batch {
+        std::vector<double> s, t;
+        std::vector<Pending> samples;
+        std::vector<double> albedo;
+    };
+    struct Batches {
+        Batch on_part, on_background;
+    };
+
     void shade(const Expansion& around, int column) {
         const int n = rows.scale;
         const SurfacePrint::Footprint footprint = around.footprint(n);
@@ -108,35 +125,72 @@ class RowShader {
             for (int i = 0; i < n; ++i) {
                 const double dx = (i + 0.5) / n - 0.5, dy = (j + 0.5) / n - 0.5;
                 const Eigen::Vector2d pixel(column - pad_ + dx, next_ + dy);
-                const Contribution value = around.smooth() ? contribution(around.at(dx, dy), footprint)
-                                           : around.edge() ? edge_contribution(pixel)
-                                                           : contribution(tracer_.sample(pixel, hint), footprint);
                 const std::size_t at = rows.row(j) + static_cast<std::size_t>(i) * rows.width + column;
-                rows.projected[at] = value.projected;
-                rows.constant[at] = value.constant;
-                rows.u[at] = value.u;
-                rows.v[at] = value.v;
+                if (around.edge()) {
+                    put(at, edge_contribution(pixel));
+                } else {
+                    defer(away_from_edges_, at, around.smooth() ? around.at(dx, dy) : tracer_.sample(pixel, hint),
+                          footprint);
+                }
             }
         }
     }
 
-    Contribution contribution(const Sample& sample, const SurfacePrint::Footprint& footprint) {
-        if (sample.patch < 0) return {};
-        const bool on_part = sample.patch != kBackgroundPatch;
-        const SurfaceTexture& texture = on_part ? scene_.texture : scene_.background->texture;
-        const auto light = [&](Sample::Slot slot) { return static_cast<float>(sample.value[slot]); };
-        const double u = sample.value[Sample::u], v = sample.value[Sample::v];
-        const double s = sample.value[Sample::s], t = sample.value[Sample::t];
-        double reflected = texture.albedo(s, t, on_part ? on_part_ : on_background_);
-        if (on_part && scene_.print) reflected *= scene_.print->factor(s, t, footprint, on_print_);
-        const auto albedo = static_cast<float>(reflected);
-        float gain = bilinear(patterns_.gain, u, v);
+    void put(std::size_t at, const Contribution& value) {
+        rows.projected[at] = value.projected;
+        rows.constant[at] = value.constant;
+        rows.u[at] = value.u;
+        rows.v[at] = value.v;
+    }
+
+    void defer(Batches& batches, std::size_t at, const Sample& sample, const SurfacePrint::Footprint& footprint) {
+        if (sample.patch < 0) return;
+        Batch& batch = sample.patch == kBackgroundPatch ? batches.on_background : batches.on_part;
+        batch.s.push_back(sample.value[Sample::s]);
+        batch.t.push_back(sample.value[Sample::t]);
+        batch.samples.push_back(pending(at, sample, footprint));
+    }
+
+    Pending pending(std::size_t at, const Sample& sample, const SurfacePrint::Footprint& footprint) {
+        const auto value = [&](Sample::Slot slot) { return static_cast<float>(sample.value[slot]); };
+        const bool printed = sample.patch != kBackgroundPatch && scene_.print;
+        const double print =
+            printed ? scene_.print->factor(sample.value[Sample::s], sample.value[Sample::t], footprint, on_print_) : 1;
+        return {at,
+                print,
+                value(Sample::diffuse),
+                value(Sample::specular),
+                value(Sample::ambient_diffuse),
+                value(Sample::ambient_specular),
+                value(Sample::u),
+                value(Sample::v)};
+    }
+
+    /// Completes all samples, gives them to put(at, contribution) and empties the batches.
+    template <class Put>
+    void reflect(Batches& batches, const Put& put) {
+        reflect(scene_.texture, batches.on_part, put);
+        if (scene_.background) reflect(scene_.background->texture, batches.on_background, put);
+    }
+
+    template <class Put>
+    void reflect(const SurfaceTexture& texture, Batch& batch, const Put& put) const {
+        batch.albedo.resize(batch.samples.size());
+        texture.albedo(batch.s, batch.t, batch.albedo);
+        for (std::size_t k = 0; k < batch.samples.size(); ++k) {
+            put(batch.samples[k].at, lit(batch.samples[k], batch.albedo[k]));
+        }
+        batch.s.clear(), batch.t.clear(), batch.samples.clear();
+    }
+
+    [[nodiscard]] Contribution lit(const Pending& sample, double reflectance) const {
+        const auto albedo = static_cast<float>(reflectance * sample.print);
+        float gain = bilinear(patterns_.gain, sample.u, sample.v);
         // First harmonic of the dark lines between projector pixels; the lens passes no more.
         const auto depth = static_cast<float>(0.5 * patterns_.grid_depth);
-        if (depth > 0) gain *= 1 + depth * (cosine_(u) + cosine_(v));
-        return {(albedo * light(Sample::diffuse) + light(Sample::specular)) * gain,
-                albedo * light(Sample::ambient_diffuse) + light(Sample::ambient_specular), static_cast<float>(u),
-                static_cast<float>(v)};
+        if (depth > 0) gain *= 1 + depth * (cosine_(sample.u) + cosine_(sample.v));
+        return {(albedo * sample.diffuse + sample.specular) * gain,
+                albedo * sample.ambient_diffuse + sample.ambient_specular, sample.u, sample.v};
     }
 
     /// At an edge one ray per sample would break thin walls and shadows into dashes: the mean of several. Its projector
@@ -145,14 +199,15 @@ class RowShader {
         constexpr int kRays = 4;
         constexpr float share = 1.f / (kRays * kRays);
         constexpr float kNear = 1;  // [projector px]
-        std::array<Contribution, kRays * kRays> rays;
+        std::array<Contribution, kRays * kRays> rays{};
         RowHint hint;
         for (int k = 0; k < kRays * kRays; ++k) {
             if (k % kRays == 0) hint = {};
             const int row = k / kRays, column = k % kRays;
             const Eigen::Vector2d offset((column + 0.5) / kRays - 0.5, (row + 0.5) / kRays - 0.5);
-            rays[k] = contribution(tracer_.sample(pixel + offset / rows.scale, hint), {});
+            defer(around_edge_, k, tracer_.sample(pixel + offset / rows.scale, hint), {});
         }
+        reflect(around_edge_, [&](std::size_t k, const Contribution& value) { rays[k] = value; });
         const auto weaker = [](const Contribution& a, const Contribution& b) { return a.projected < b.projected; };
         const Contribution& strongest = *std::max_element(rays.begin(), rays.end(), weaker);
         Contribution sum;
@@ -174,7 +229,7 @@ class RowShader {
     const ProjectedPatterns& patterns_;
     Tracer tracer_;
     CosineTable cosine_;
-    SurfaceTexture::Cursor on_part_, on_background_;
+    Batches away_from_edges_, around_edge_;
     SurfacePrint::Cursor on_print_;
     int pad_, next_ = 0;
     std::vector<Sample> lines_[3];

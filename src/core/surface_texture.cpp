@@ -1,6 +1,7 @@
 #include "core/surface_texture.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 
@@ -25,11 +26,60 @@ inline std::uint32_t mix(std::uint32_t x) {
     return x ^ (x >> 16);
 }
 
-/// Weights of the uniform cubic B-spline at the fraction f of a cell.
-inline Eigen::Array4f spline_weights(float f) {
+/// Places whose noise is computed side by side: every loop over them runs in vector registers.
+constexpr int kLanes = 16;
+
+template <int lanes>
+using Floats = std::array<float, lanes>;
+template <int lanes>
+using Keys = std::array<std::uint32_t, lanes>;
+
+/// Weights of the uniform cubic B-spline at the fractions f of cells.
+template <int lanes>
+std::array<Floats<lanes>, 4> spline_weights(const Floats<lanes>& f) {
     constexpr float sixth = 1.f / 6.f;
-    const float g = 1 - f, f2 = f * f, g2 = g * g;
-    return {g2 * g * sixth, (4 - 6 * f2 + 3 * f2 * f) * sixth, (4 - 6 * g2 + 3 * g2 * g) * sixth, f2 * f * sixth};
+    std::array<Floats<lanes>, 4> w;
+    for (int l = 0; l < lanes; ++l) {
+        const float g = 1 - f[l], f2 = f[l] * f[l], g2 = g * g;
+        w[0][l] = g2 * g * sixth;
+        w[1][l] = (4 - 6 * f2 + 3 * f2 * f[l]) * sixth;
+        w[2][l] = (4 - 6 * g2 + 3 * g2 * g) * sixth;
+        w[3][l] = f2 * f[l] * sixth;
+    }
+    return w;
+}
+
+/// Cell and fraction of lattice coordinates.
+template <int lanes>
+void split(const std::array<double, lanes>& x, Keys<lanes>& cell, Floats<lanes>& fraction) {
+    for (int l = 0; l < lanes; ++l) {
+        const double whole = std::floor(x[l]);
+        cell[l] = static_cast<std::uint32_t>(static_cast<std::int32_t>(whole));
+        fraction[l] = static_cast<float>(x[l] - whole);
+    }
+}
+
+/// Adds amplitude * noise of unit rms at the lattice coordinates (x, y) to `sum`.
+template <int lanes>
+void add_noise(const std::array<double, lanes>& x, const std::array<double, lanes>& y, std::uint32_t seed,
+               float amplitude, Floats<lanes>& sum) {
+    Keys<lanes> column, row, line;
+    Floats<lanes> fx, fy, values;
+    split<lanes>(x, column, fx);
+    split<lanes>(y, row, fy);
+    const auto wx = spline_weights<lanes>(fx), wy = spline_weights<lanes>(fy);
+    // Uniform numbers in [-1, 1) have variance 1/3; the squared weights of the spline add up to 151/315 per axis.
+    const auto unit = static_cast<float>(0x1p-31 * 1.7320508075688772 * 315.0 / 151.0) * amplitude;
+    for (std::uint32_t j = 0; j < 4; ++j) {
+        for (int l = 0; l < lanes; ++l) line[l] = mix((row[l] + j) ^ seed), values[l] = 0;
+        for (std::uint32_t i = 0; i < 4; ++i) {
+            for (int l = 0; l < lanes; ++l) {
+                const std::uint32_t key = mix(line[l] + (column[l] + i) * 0x9E3779B9u);
+                values[l] += wx[i][l] * static_cast<float>(static_cast<std::int32_t>(key));
+            }
+        }
+        for (int l = 0; l < lanes; ++l) sum[l] += unit * wy[j][l] * values[l];
+    }
 }
 
 double smooth_edge(double x) {
@@ -39,33 +89,11 @@ double smooth_edge(double x) {
 
 }  // namespace
 
-void LatticeCell::move_to(std::int64_t column, std::int64_t row, std::uint32_t seed) {
-    if (column == column_ && row == row_) return;
-    column_ = column;
-    row_ = row;
-    // All sixteen values at once: these loops run in vector registers.
-    std::uint32_t key[16];
-    for (std::uint32_t j = 0; j < 4; ++j) {
-        const std::uint32_t line = mix((static_cast<std::uint32_t>(row) + j) ^ seed);
-        for (std::uint32_t i = 0; i < 4; ++i) {
-            key[4 * j + i] = line + (static_cast<std::uint32_t>(column) + i) * 0x9E3779B9u;
-        }
-    }
-    for (int i = 0; i < 16; ++i) value_[i] = static_cast<float>(static_cast<std::int32_t>(mix(key[i])));
+double lattice_noise(double x, double y, std::uint32_t seed) {
+    Floats<1> sum{0};
+    add_noise<1>({x}, {y}, seed, 1, sum);
+    return sum[0];
 }
-
-double LatticeCell::noise(double x, double y, std::uint32_t seed) {
-    const double fx = std::floor(x), fy = std::floor(y);
-    move_to(static_cast<std::int64_t>(fx), static_cast<std::int64_t>(fy), seed);
-    const Eigen::Array4f wx = spline_weights(static_cast<float>(x - fx)),
-                         wy = spline_weights(static_cast<float>(y - fy));
-    const auto line = [&](int j) { return Eigen::Array4f::Map(value_ + 4 * j); };
-    const Eigen::Array4f sum = wx * (wy[0] * line(0) + wy[1] * line(1) + wy[2] * line(2) + wy[3] * line(3));
-    // Uniform numbers in [-1, 1) have variance 1/3; the squared weights of the spline add up to 151/315 per axis.
-    return ((sum[0] + sum[1]) + (sum[2] + sum[3])) * (0x1p-31 * 1.7320508075688772 * 315.0 / 151.0);
-}
-
-double lattice_noise(double x, double y, std::uint32_t seed) { return LatticeCell().noise(x, y, seed); }
 
 SurfaceTexture::SurfaceTexture(double albedo, std::vector<GrainScale> grain, std::vector<Mark> marks, double half_s,
                                double half_t)
@@ -137,25 +165,42 @@ double SurfaceTexture::profile(int index, double s, double t) const {
     return smooth_edge(1 - r * (1 + wobble)) * streaks;
 }
 
-double SurfaceTexture::albedo(double s, double t, Cursor& cursor) const {
-    if (cursor.size() != grain_.size()) cursor.assign(grain_.size(), LatticeCell());
-    double factor = 1;
-    for (std::size_t i = 0; i < grain_.size(); ++i) {
-        const Frame& f = frames_[i];
-        factor += grain_[i].amplitude *
-                  cursor[i].noise(f.along_s * s + f.along_t * t, f.across_s * s + f.across_t * t, grain_[i].seed);
+void SurfaceTexture::add_grain(const GrainScale& scale, const Frame& f, std::span<const double> s,
+                               std::span<const double> t, std::span<double> out) const {
+    const auto amplitude = static_cast<float>(scale.amplitude);
+    for (std::size_t first = 0; first < out.size(); first += kLanes) {
+        const std::size_t count = std::min<std::size_t>(kLanes, out.size() - first);
+        std::array<double, kLanes> x{}, y{};
+        Floats<kLanes> sum{};
+        for (std::size_t l = 0; l < count; ++l) {
+            x[l] = f.along_s * s[first + l] + f.along_t * t[first + l];
+            y[l] = f.across_s * s[first + l] + f.across_t * t[first + l];
+        }
+        add_noise<kLanes>(x, y, scale.seed, amplitude, sum);
+        for (std::size_t l = 0; l < count; ++l) out[first + l] += sum[l];
     }
-    if (!marks_.empty()) {
-        const int i = static_cast<int>(std::floor((s - origin_s_) / kBin));
-        const int j = static_cast<int>(std::floor((t - origin_t_) / kBin));
-        if (i >= 0 && i < bins_s_ && j >= 0 && j < bins_t_) {
-            const std::size_t bin = static_cast<std::size_t>(j) * bins_s_ + i;
-            for (int k = bin_begin_[bin]; k < bin_begin_[bin + 1]; ++k) {
-                factor *= 1 + marks_[bin_marks_[k]].contrast * profile(bin_marks_[k], s, t);
-            }
+}
+
+double SurfaceTexture::marks(double s, double t) const {
+    const int i = static_cast<int>(std::floor((s - origin_s_) / kBin));
+    const int j = static_cast<int>(std::floor((t - origin_t_) / kBin));
+    double factor = 1;
+    if (i >= 0 && i < bins_s_ && j >= 0 && j < bins_t_) {
+        const std::size_t bin = static_cast<std::size_t>(j) * bins_s_ + i;
+        for (int k = bin_begin_[bin]; k < bin_begin_[bin + 1]; ++k) {
+            factor *= 1 + marks_[bin_marks_[k]].contrast * profile(bin_marks_[k], s, t);
         }
     }
-    return albedo_ * std::max(factor, kDarkest);
+    return factor;
+}
+
+void SurfaceTexture::albedo(std::span<const double> s, std::span<const double> t, std::span<double> out) const {
+    std::fill(out.begin(), out.end(), 1.0);
+    for (std::size_t i = 0; i < grain_.size(); ++i) add_grain(grain_[i], frames_[i], s, t, out);
+    for (std::size_t k = 0; k < out.size(); ++k) {
+        const double factor = marks_.empty() ? out[k] : out[k] * marks(s[k], t[k]);
+        out[k] = albedo_ * std::max(factor, kDarkest);
+    }
 }
 
 }  // namespace planish

@@ -2,7 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
-#include <limits>
+#include <span>
 #include <vector>
 
 namespace planish {
@@ -26,20 +26,7 @@ struct Mark {
     double contrast;
 };
 
-/// Smooth aperiodic noise of unit rms over a lattice of spacing 1: cubic B-spline of independent numbers. Remembers the
-/// numbers around the last cell, which the next sample mostly shares; results do not depend on what is remembered.
-class LatticeCell {
-  public:
-    double noise(double x, double y, std::uint32_t seed);
-
-  private:
-    void move_to(std::int64_t column, std::int64_t row, std::uint32_t seed);
-
-    std::int64_t column_ = std::numeric_limits<std::int64_t>::min(), row_ = 0;
-    float value_[16];
-};
-
-/// The same for a single place.
+/// Smooth aperiodic noise of unit rms over a lattice of spacing 1: cubic B-spline of independent numbers.
 double lattice_noise(double x, double y, std::uint32_t seed);
 
 /// Reflectance over surface coordinates (s, t) [mm].
@@ -47,16 +34,18 @@ class SurfaceTexture {
   public:
     SurfaceTexture(double albedo, std::vector<GrainScale> grain, std::vector<Mark> marks, double half_s, double half_t);
 
-    /// One cell per scale of the grain; keep one cursor per texture while walking over it.
-    using Cursor = std::vector<LatticeCell>;
-
-    [[nodiscard]] double albedo(double s, double t, Cursor& cursor) const;
+    /// Writes the reflectance at the places (s[i], t[i]); many at once, for the grain runs in vector registers. What
+    /// comes out at a place does not depend on the others.
+    void albedo(std::span<const double> s, std::span<const double> t, std::span<double> out) const;
 
   private:
     struct Frame {
         double along_s, along_t, across_s, across_t;  ///< rows of the map from (s, t) to the lattice
     };
 
+    void add_grain(const GrainScale& scale, const Frame& frame, std::span<const double> s, std::span<const double> t,
+                   std::span<double> out) const;
+    [[nodiscard]] double marks(double s, double t) const;
     [[nodiscard]] double profile(int mark, double s, double t) const;
     void index_marks(double half_s, double half_t);
 

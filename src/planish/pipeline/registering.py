@@ -104,10 +104,7 @@ def register_run(
     """
     options, count, say = options or RegisterOptions(), thread_count(threads), progress or (lambda *_: None)
     ordered = _checked(measurements, reference)
-    # Lengths that the user did not set follow the resolution of the data.
-    options, pitch = options.scaled(length_factor(common_gsd(ordered))), common_pitch(ordered)
-    fixed = estimate_fixed_patterns(ordered, options.photometric, count)
-    prepared = _prepare_all(ordered, fixed, pitch, options, count, say)
+    options, prepared = prepare_run(ordered, options, threads=count, progress=say)
     pairs = _register_pairs(prepared, options, count, say)
     overlaps = _evaluate_pairs(prepared, pairs, count, say)
     pairs = [_with_overlap(pair, overlaps.get((pair.a, pair.b))) for pair in pairs]
@@ -116,6 +113,21 @@ def register_run(
         nodes, pairs, options.network, reference=reference, record=options.model_dump(mode="json"), versions=versions()
     )
     return RegisteredRun(registration, prepared, overlaps)
+
+
+def prepare_run(
+    measurements: Sequence[Measurement],
+    options: RegisterOptions | None = None,
+    *,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[RegisterOptions, dict[str, Prepared]]:
+    """Return the options at the run's resolution, and by name what `register_pair` needs of each measurement."""
+    options, count, say = options or RegisterOptions(), thread_count(threads), progress or (lambda *_: None)
+    # Lengths that the user did not set follow the resolution of the data.
+    options, pitch = options.scaled(length_factor(common_gsd(measurements))), common_pitch(measurements)
+    fixed = estimate_fixed_patterns(measurements, options.photometric, count)
+    return options, _prepare_all(measurements, fixed, pitch, options, count, say)
 
 
 def versions() -> dict[str, str]:

@@ -62,11 +62,14 @@ class CoarseResult:
         Probability that a match that has nothing to do with a transform agrees with it all the same.
     places : int
         Distinct places among all matches (in a).
+    tried : float
+        Transforms that chance had to choose from before there were matches.
     """
 
     candidates: tuple[Candidate, ...]
     chance: float
     places: int
+    tried: float = 1.0
     options: ConsensusOptions = field(default_factory=ConsensusOptions)
 
 
@@ -75,12 +78,18 @@ def find_consensus(
     options: ConsensusOptions | None = None,
     threads: int | None = None,
     exclude: NDArray[np.bool_] | None = None,
+    chance: float | None = None,
+    tried: float = 1.0,
 ) -> CoarseResult:
-    """Return the best transforms of b in a; `exclude` (M,) leaves matches out."""
+    """Return the best transforms of b in a; `exclude` (M,) leaves matches out.
+
+    `chance` that a wrong match agrees follows from the density of the places, unless the matches were sought otherwise:
+    then among so many transforms as were `tried`.
+    """
     options = options or ConsensusOptions()
     use = np.arange(len(matches)) if exclude is None else np.flatnonzero(~exclude)
     points_a, points_b = matches.points_a, matches.points_b
-    chance = _chance(points_a[use], options)
+    chance = _chance(points_a[use], options) if chance is None else chance
     places = count_places(points_a[use], options.distinct_mm)
     candidates: list[Candidate] = []
     while len(candidates) < options.max_candidates:
@@ -91,7 +100,7 @@ def find_consensus(
         # What contradicts the best must live without the matches that lie anywhere near it.
         near = np.linalg.norm(points_a - transform_points(found.T_a_b, points_b), axis=1) < 3 * options.tolerance_mm
         use = use[~near[use]]
-    return CoarseResult(tuple(candidates), chance, places, options)
+    return CoarseResult(tuple(candidates), chance, places, tried, options)
 
 
 #: Transforms that the core returns, by its count of cells; the places are counted here.

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from planish.geometry import Array, transform_points
+from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import Options
 from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
+from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows, prepare_dense, signal_to_noise
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
 from planish.registration.match.matching import MatchOptions, match
 from planish.registration.match.patches import PatchSide
 from planish.registration.match.whitening import PatchImage, patch_images
 from planish.registration.matches import Matches
+from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.refine.overlap import overlap_extent
@@ -29,9 +33,9 @@ from planish.registration.texture.charts import ChartOptions
 from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
 from planish.registration.tiles import ground_sample_distance, tile_size_px
-from planish.registration.verdict.false_alarms import log10_false_alarms
-from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined, runner_up
-from planish.registration.verdict.still import same_sensor, standing_still
+from planish.registration.verdict.aligned import Side
+from planish.registration.verdict.hypothesis import Hypothesis
+from planish.registration.verdict.judge import Verdict, VerdictOptions, judge_coarse, judge_refined
 
 
 class PairOptions(Options):
@@ -42,6 +46,7 @@ class PairOptions(Options):
     charts: ChartOptions = ChartOptions()
     keypoints: KeypointOptions = KeypointOptions()
     match: MatchOptions = MatchOptions()
+    dense: DenseOptions = DenseOptions()
     consensus: ConsensusOptions = ConsensusOptions()
     refine: RefineOptions = RefineOptions()
     verdict: VerdictOptions = VerdictOptions()
@@ -60,6 +65,17 @@ class Prepared:
     #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
     sides: Mapping[float, JointSide]
     fit_sides: Mapping[float, JointSide]
+    dense_options: DenseOptions
+
+    @cached_property
+    def dense(self) -> tuple[DenseTexture, ...]:
+        """The developed texture: made when the first pair asks for it."""
+        return prepare_dense(self.images, self.dense_options)
+
+    @cached_property
+    def signal_to_noise(self) -> float:
+        """How strong the texture is against its noise (variances)."""
+        return signal_to_noise(self.images)
 
 
 #: Pitch of the texture images in multiples of the ground sample distance: the detector doubles the image, so that its
@@ -107,7 +123,8 @@ def prepare(
     kept = ~held_out_pixels(measurement)
     sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
     fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
-    return Prepared(measurement, surface, contrast, images, patch_images(images), keypoints, sides, fit_sides)
+    patches = patch_images(images)
+    return Prepared(measurement, surface, contrast, images, patches, keypoints, sides, fit_sides, options.dense)
 
 
 def register_pair(
@@ -116,77 +133,90 @@ def register_pair(
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
     options = options or PairOptions()
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
-    coarse, still_share = _moving_consensus(a, b, matches, options, threads)
-    centre_b = b.keypoints.points_sensor.mean(0) if len(b.keypoints) else np.zeros(3)
-    other = runner_up(coarse, centre_b, pairs_in_run)
-    judgement = judge_coarse(coarse, other, still_share, pairs_in_run, options.verdict)
-    best = coarse.candidates[0] if coarse.candidates else None
+    coarse = find_consensus(matches, options.consensus, threads)
+    result = _judged(a, b, matches, coarse, _looked_at_mm(a, options), options, pairs_in_run, threads)
+    if result.status != "refused" or not (options.dense.enabled and _is_weak(a, b, options.dense)):
+        return result
+    windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
+    coarse = find_consensus(windows.matches, options.consensus, threads, chance=windows.chance, tried=windows.tried)
+    second = _judged(a, b, windows.matches, coarse, _EVERYWHERE_MM, options, pairs_in_run, threads)
+    # Of two refusals the one that says more.
+    better = second.log10_false_alarms < result.log10_false_alarms
+    return second if second.status != "refused" or better else result
+
+
+#: Windows have been sought over the whole of both measurements.
+_EVERYWHERE_MM = 1e6
+
+
+def _judged(
+    a: Prepared,
+    b: Prepared,
+    matches: Matches,
+    coarse: CoarseResult,
+    looked_at_mm: float | None,
+    options: PairOptions,
+    pairs_in_run: int,
+    threads: int | None,
+) -> PairResult:
+    """Return the result that these matches and their consensus lead to."""
+    side_a, side_b = (Side(p.measurement, p.images, p.contrast) for p in (a, b))
+    verdict = judge_coarse(side_a, side_b, matches, coarse, pairs_in_run, options.verdict, looked_at_mm, threads)
+    first = verdict.first
     result = PairResult(
         a=a.measurement.name,
         b=b.measurement.name,
-        status=judgement.status,
-        reason=judgement.reason,
+        status=verdict.judgement.status,
+        reason=verdict.judgement.reason,
         matches=len(matches),
-        consensus=best.places if best else 0,
-        log10_false_alarms=log10_false_alarms(best.places if best else 0, coarse.places, coarse.chance, pairs_in_run),
-        runner_up=other,
-        T_coarse_a_b=best.T_a_b if best else None,
+        consensus=first.places if first else 0,
+        log10_false_alarms=verdict.log10_false_alarms,
+        windows=len(first.windows) if first else 0,
+        windows_agreeing=first.agreeing if first else 0,
+        runner_up=verdict.runner_up,
+        motions=verdict.motions,
+        T_coarse_a_b=first.T_a_b if first else None,
         matches_px=_pixels(matches),
-        consensus_px=_pixels(matches.take(best.members)) if best else np.empty((0, 4)),
+        consensus_px=_pixels(matches.take(first.members)) if first else np.empty((0, 4)),
     )
-    if best is None or judgement.status != "accepted":
+    if first is None or result.status != "accepted":
         return result
-    return _refined_result(a, b, best.T_a_b, matches.take(best.members), result, options, threads)
+    return _refined_result(a, b, verdict, first, result, options, threads)
+
+
+def _looked_at_mm(side: Prepared, options: PairOptions) -> float | None:
+    """How far around its place a match has compared the texture [mm]."""
+    radius_px = options.match.patch_radius_px + options.match.reach_px
+    return radius_px * side.images[0].pitch_mm if side.images else None
 
 
 def _patch_side(side: Prepared) -> PatchSide:
     return PatchSide(side.keypoints, side.images, side.patches)
 
 
-def _moving_consensus(
-    a: Prepared, b: Prepared, matches: Matches, options: PairOptions, threads: int | None
-) -> tuple[CoarseResult, float]:
-    """Return the consensus and the share of it that stands still in the image.
-
-    Where the best consensus stands still (sensor pattern, background), the texture of the part may hide behind it: what
-    moves is asked alone before the pair is given up.
-    """
-    coarse = find_consensus(matches, options.consensus, threads)
-    if not coarse.candidates or not same_sensor(a.measurement, b.measurement):
-        return coarse, 0.0
-    still = standing_still(matches, options.verdict.still_px)
-    share = float(still[coarse.candidates[0].members].mean())
-    if share <= options.verdict.still_share:
-        return coarse, share
-    moving = find_consensus(matches, options.consensus, threads, exclude=still)
-    if moving.candidates:
-        best = moving.candidates[0]
-        alarms = log10_false_alarms(best.places, moving.places, moving.chance, 1)
-        if alarms <= options.verdict.max_log10_false_alarms:
-            return moving, 0.0
-    return coarse, share
+def _is_weak(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
+    """Whether single pixels hold too little texture: keypoints may fail, and slopes are mostly noise."""
+    return min(a.signal_to_noise, b.signal_to_noise) < options.max_signal_to_noise
 
 
 def _refined_result(
     a: Prepared,
     b: Prepared,
-    T_a_b: Array,
-    members: Matches,
+    verdict: Verdict,
+    first: Hypothesis,
     result: PairResult,
     options: PairOptions,
     threads: int | None,
 ) -> PairResult:
-    refined = refine_pair(a, b, T_a_b, options, threads)
-    if refined is None:
-        judgement = judge_refined(None, (), 0.0, options.verdict)
-        assert judgement is not None
-        return replace(result, status=judgement.status, reason=judgement.reason)
-    residual = members.points_a - transform_points(refined.T_a_b, members.points_b)
-    drift = float(np.sqrt((residual**2).sum(1).mean()))
-    covariance = noise_covariance(refined)
-    directions = observability(refined, covariance)
-    refuted = judge_refined(refined, directions, drift, options.verdict)
-    if refuted is not None:
+    anchor = first.anchor() if _is_weak(a, b, options.dense) else None
+    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor)
+    covariance = noise_covariance(refined) if refined is not None else None
+    directions = observability(refined, covariance) if refined is not None and covariance is not None else ()
+    drift = first.drift_mm(refined.T_a_b) if refined is not None else 0.0
+    unmoved_mm = options.verdict.still_px * ground_sample_distance(a.measurement) if verdict.unmoved else None
+    refuted = judge_refined(refined, directions, drift, options.verdict, unmoved_mm)
+    if refined is None or refuted is not None:
+        assert refuted is not None
         return replace(result, status=refuted.status, reason=refuted.reason, observability=directions)
     shifts = pair_shifts(a, b, refined, options, threads)
     return replace(
@@ -202,16 +232,34 @@ def _refined_result(
 
 
 def refine_pair(
-    a: Prepared, b: Prepared, T_a_b: Array, options: PairOptions | None = None, threads: int | None = None
+    a: Prepared,
+    b: Prepared,
+    T_a_b: Array,
+    options: PairOptions | None = None,
+    threads: int | None = None,
+    without: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None),
+    anchor: Anchor | None = None,
 ) -> Refined | None:
-    """Return the joint refinement of a pair from a coarse transform, or None where the surfaces do not overlap."""
+    """Return the joint refinement of a pair from a coarse transform, or None where the surfaces do not overlap.
+
+    `without` (H, W) of a and of b are pixels that take no part; `anchor` adds what windows of weak textures say.
+    """
     options = options or PairOptions()
     extent = overlap_extent(a.measurement, b.measurement, T_a_b, max(options.refine.max_distance_mm))
     if extent is None:
         return None
     centre, radius = extent
     tile = tile_size_px(b.measurement)
-    return refine(a.fit_sides, b.sides, T_a_b, centre, radius, tile, options.refine, threads)
+    sides_a, sides_b = _without(a.fit_sides, without[0]), _without(b.sides, without[1])
+    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, options.refine, threads, anchor)
+
+
+def _without(sides: Mapping[float, JointSide], mask: NDArray[np.bool_] | None) -> Mapping[float, JointSide]:
+    if mask is None:
+        return sides
+    return {
+        s: replace(side, maps=(*side.maps[:5], np.where(mask, np.uint8(0), side.maps[5]))) for s, side in sides.items()
+    }
 
 
 def pair_shifts(

@@ -47,6 +47,34 @@ class RunnerUp:
 
 
 @dataclass(frozen=True)
+class Motion:
+    """One of several things in a pair that moved differently, and where it is seen.
+
+    Parameters
+    ----------
+    T_a_b : ndarray (4, 4)
+        Its own motion.
+    places : int
+        Distinct places of the matches that agree with it.
+    windows : int
+        Windows of the predicted overlap that agree with it.
+    log10_false_alarms : float
+    stands_still : bool
+        Whether it stands at the same pixels in both captures of one sensor.
+    box_a_px, box_b_px : tuple of float
+        Where it is seen: u_min, v_min, u_max, v_max of the middle 90 % of what agrees, along each axis.
+    """
+
+    T_a_b: Array
+    places: int
+    windows: int
+    log10_false_alarms: float
+    stands_still: bool
+    box_a_px: tuple[float, float, float, float] = field(metadata={"unit": "px"})
+    box_b_px: tuple[float, float, float, float] = field(metadata={"unit": "px"})
+
+
+@dataclass(frozen=True)
 class Direction:
     """One eigenvector of the pair's information: what moves, how well it is held, and by what.
 
@@ -63,6 +91,9 @@ class Direction:
 @dataclass(frozen=True)
 class PairResult:
     """Everything known about one pair; `T_a_b` maps points of b into a and is None unless accepted.
+
+    `windows` of the overlap that the chosen transform predicts were compared with b, `windows_agreeing` agree;
+    `motions` lists all that moved, where several things moved differently.
 
     Covariances (6, 6) are of xi = [rotation rad, translation mm] with T_a_b = perturb(T_hat, xi, covariance_point_mm);
     the point is given in the frame of a.
@@ -94,6 +125,9 @@ class PairResult:
     consensus_px: Array = field(default_factory=lambda: np.empty((0, 4)))
     #: The same of all matches.
     matches_px: Array = field(default_factory=lambda: np.empty((0, 4)))
+    windows: int = 0
+    windows_agreeing: int = 0
+    motions: tuple[Motion, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -173,8 +207,8 @@ def _plain(value: Any) -> Any:
 
 _PAIR_KEYS = (
     "a", "b", "status", "reason", "used", "removed_reason", "T_a_b", "covariance_noise", "covariance_calibration",
-    "covariance_point_mm", "matches", "consensus", "log10_false_alarms", "runner_up", "observability", "overlap",
-    "overlap_error",
+    "covariance_point_mm", "matches", "consensus", "log10_false_alarms", "windows", "windows_agreeing",
+    "runner_up", "motions", "observability", "overlap", "overlap_error",
 )  # fmt: skip
 
 
@@ -203,6 +237,19 @@ class _RunnerUpFile(Strict):
     translation_mm: float
 
 
+Box = tuple[float, float, float, float]
+
+
+class _MotionFile(Strict):
+    T_a_b: Matrix
+    places: int
+    windows: int
+    log10_false_alarms: float
+    stands_still: bool
+    box_a_px: Box
+    box_b_px: Box
+
+
 class _DirectionFile(Strict):
     direction: tuple[float, ...]
     length_mm: float
@@ -225,7 +272,10 @@ class _PairFile(Strict):
     matches: int
     consensus: int
     log10_false_alarms: float
+    windows: int = Field(ge=0)
+    windows_agreeing: int = Field(ge=0)
     runner_up: _RunnerUpFile | None
+    motions: list[_MotionFile]
     observability: list[_DirectionFile]
     overlap: float | None
     overlap_error: _OverlapErrorFile | None
@@ -307,6 +357,12 @@ def _pair(item: _PairFile, subject: str) -> PairResult:
     if item.runner_up is not None:
         T_a_b = require_rigid(item.runner_up.T_a_b, f"{subject}: runner_up.T_a_b")
         values["runner_up"] = RunnerUp(**{**values["runner_up"], "T_a_b": T_a_b})
+    if item.windows_agreeing > item.windows:
+        raise InputError(subject, f"{item.windows_agreeing} of {item.windows} windows agree", "at most all")
+    values["motions"] = tuple(
+        Motion(**{**motion, "T_a_b": require_rigid(motion["T_a_b"], f"{subject}: motions[{i}].T_a_b")})
+        for i, motion in enumerate(values["motions"])
+    )
     values["observability"] = tuple(Direction(**direction) for direction in values["observability"])
     if item.overlap_error is not None:
         values["overlap_error"] = OverlapError(**values["overlap_error"])

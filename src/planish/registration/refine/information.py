@@ -51,14 +51,15 @@ def information(e: Equations, lever_mm: float, min_slope: float = 0.0) -> Inform
     outer = np.outer(scale, scale)
     slope_distance, slope_texture = max(e.slope_distance, min_slope), max(e.slope_texture, min_slope)
     trust, distance = _trusted(e.H_distance / outer, e.H_distance_unbiased / outer)
-    texture = slope_texture * e.H_texture_unbiased / outer
+    anchor = e.H_anchor / outer
+    texture = slope_texture * e.H_texture_unbiased / outer + anchor
     return Information(
         scale,
         trust,
-        trust @ (e.g_distance / scale) + e.g_texture / scale,
+        trust @ (e.g_distance / scale) + (e.g_texture + e.g_anchor) / scale,
         texture,
         slope_distance * distance + texture,
-        distance + e.H_texture / outer,
+        distance + e.H_texture / outer + anchor,
     )
 
 

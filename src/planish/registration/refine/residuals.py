@@ -8,7 +8,7 @@ point's depth moves the look-up only by the angle between the two viewing rays.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -93,7 +93,7 @@ class Equations:
     The `unbiased` are the information without what the noise of normals and gradients adds.
     `slope_distance` and `slope_texture` are the sums of psi'(r) over those of psi(r) / r of the robust influence psi:
     by so much of H the gradient really changes. `tile_gradients` (rows, columns, 2, 6) are the parts of the gradient of
-    distance and texture from each tile of b.
+    distance and texture from each tile of b. `H_anchor` and `g_anchor` are those of windows (`Anchor`).
     """
 
     H_distance: Array
@@ -112,6 +112,8 @@ class Equations:
     tile_gradients: Array
     distances: Map
     differences: Map
+    H_anchor: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    g_anchor: Array = field(default_factory=lambda: np.zeros(6))
 
 
 @dataclass(frozen=True)

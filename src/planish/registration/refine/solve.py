@@ -11,6 +11,7 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from planish.geometry import Array, perturb
 from planish.options import Options, thread_count
+from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.information import held_directions, information
 from planish.registration.refine.residuals import Equations, JointSide, Weights, equations
 
@@ -63,6 +64,7 @@ def refine(
     tile_px: int,
     options: RefineOptions | None = None,
     threads: int | None = None,
+    anchor: Anchor | None = None,
 ) -> Refined | None:
     """Return the refined transform of b in a, or None where the two hardly overlap.
 
@@ -76,6 +78,8 @@ def refine(
         Point in frame a that rotations turn about: the centre of the overlap [mm].
     lever_mm : float
         Radius of the overlap; makes rotations comparable with translations [mm].
+    anchor : Anchor, optional
+        Windows of textures too weak for single pixels.
     """
     options = options or RefineOptions()
     count = thread_count(threads)
@@ -95,10 +99,11 @@ def refine(
             gate: float = max_distance,
             stride: int = stride,
         ) -> Equations:
-            return equations(
+            found = equations(
                 a, b, T, about, w, max_distance_mm=gate, max_normal_rad=options.max_normal_rad,
                 stride=stride, tile_px=tile_px, residuals=residuals, threads=count,
             )  # fmt: skip
+            return found if anchor is None else anchor.hold(found, T, about)
 
         converged = False
         scalings = 1 if smoothing == levels[-1][0] else _SCALINGS

@@ -1,12 +1,19 @@
-"""How many consensuses this good chance alone would give."""
+"""How many transforms this good chance alone would give: by the consensus, by what the consensus did not look at."""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.special import betainc, gammaln
 
+from planish.geometry import Array, transform_points
+from planish.registration.consensus import CoarseResult, count_places
+from planish.registration.matches import Matches
+from planish.registration.verdict.verify import Windows
 
-def log10_false_alarms(places: int, all_places: int, chance: float, pairs_in_run: int) -> float:
+
+def log10_false_alarms(places: int, all_places: int, chance: float, pairs_in_run: float) -> float:
     """Return log10 of the number of consensuses this good to be expected by chance in the whole run.
 
     A-contrario reasoning (Desolneux, Moisan, Morel 2000; Moulon et al. 2012): two matches fix the transform; the chance
@@ -19,13 +26,164 @@ def log10_false_alarms(places: int, all_places: int, chance: float, pairs_in_run
     all_places = max(all_places, places)
     n, k = all_places - 2, places - 2
     tests = np.log10(pairs_in_run) + np.log10(all_places * (all_places - 1) / 2)
-    return float(tests + _log10_binomial_tail(k, n, chance))
+    return float(tests + log10_binomial_tail(k, n, chance))
 
 
-def _log10_binomial_tail(k: int, n: int, p: float) -> float:
+def log10_binomial_tail(k: int, n: int, p: float) -> float:
+    """Return log10 of the chance of k or more successes in n trials of chance p each."""
+    if k <= 0:
+        return 0.0
     tail = betainc(k, n - k + 1, p)  # P(X >= k) = I_p(k, n - k + 1)
     if tail > 1e-280:
         return float(np.log10(tail))
     # Below the range of doubles the first term of the tail bounds it within the factor 1 / (1 - p n / k).
     log_term = gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1) + k * np.log(p) + (n - k) * np.log1p(-p)
-    return float(log_term / np.log(10))
+    return float(min(log_term / np.log(10), 0.0))
+
+
+def log10_by_matches(
+    matches: Matches, members: NDArray[np.int64], T_a_b: Array, coarse: CoarseResult, looked_at_mm: float
+) -> float:
+    """Return log10 of the number of consensuses this good to be expected by chance in one pair.
+
+    Places count that are so far apart that their matches have looked at different texture (`looked_at_mm` is the radius
+    of what each has compared): one piece of texture that resembles another by chance carries all the matches on it. A
+    place agrees if one of its matches does.
+
+    The greater of two counts. One is among all places (`chance_of_agreement`). The other grants chance that kind finds
+    kind: rims match rims, lines match lines, because they look alike, so that a transform which lays one on the other
+    has many matches that nearly agree. Only those within a wide reach are counted then, and the chance that such a
+    match agrees exactly is taken from how the places of its neighbourhood lie: along a line it is far greater than in
+    an area.
+    """
+    apart_mm = max(_APART * looked_at_mm, coarse.options.distinct_mm)
+    places = count_places(matches.points_a[members], apart_mm)
+    tests = np.log10(max(coarse.places, 2) ** 2 / 2)
+    if places < 3:
+        return float(tests)
+    nearly, near_chance = _nearly_agreeing(matches, T_a_b, coarse)
+    everything = np.ones(len(matches), bool)
+    tails = []
+    for chosen, chance in ((everything, chance_of_agreement(matches, T_a_b, coarse)), (nearly, near_chance)):
+        # Places are counted greedily: few of all can be fewer than those of a part of them.
+        trials = max(count_places(matches.points_a[chosen], apart_mm), places)
+        of_place = min(1.0, chance * max(1.0, int(chosen.sum()) / trials))
+        tails.append(log10_binomial_tail(places - 2, trials - 2, of_place))
+    return float(tests + max(tails))
+
+
+#: Patches whose middles are so many radii apart share a seventh of their area.
+_APART = 1.5
+#: The density of places near a place is averaged over this many tolerances.
+_DENSITY_TOLERANCES = 5.0
+#: Matches nearly agree within this many tolerances: many times as far as chance reaches, and well inside a part.
+_NEARLY_TOLERANCES = 20.0
+#: Half a tolerance of freedom that the fit takes.
+_FREEDOM = 1.5
+#: The chance of an even area counts as much as this many observed pairs of neighbours.
+_PRIOR_PAIRS = 10
+
+
+def chance_of_agreement(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> float:
+    """Return the chance that a match that has nothing to do with T_a_b agrees with it all the same.
+
+    Each place of b is taken together with the partners of all other matches: what agrees then does so by chance, with
+    the places as clustered and the orientations as alike as they are (keypoints of a brushed surface share one
+    direction). Not less than the chance for orientations of any direction (`coarse.chance`).
+    """
+    n, options = len(matches), coarse.options
+    if n < 3:
+        return 1.0
+    moved = np.asarray(transform_points(T_a_b, matches.points_b), float)
+    i, j = _pairs_within(matches.points_a, moved, _DENSITY_TOLERANCES * options.tolerance_mm)
+    density = float(_turned_alike(matches, T_a_b, i, j, coarse).sum()) / (n * (n - 1))
+    return float(np.clip(max(density * (_FREEDOM / _DENSITY_TOLERANCES) ** 2, coarse.chance), 1e-12, 1.0))
+
+
+def _nearly_agreeing(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> tuple[NDArray[np.bool_], float]:
+    """Which matches (M,) nearly agree, and the chance that one of them agrees exactly."""
+    options = coarse.options
+    reach = _NEARLY_TOLERANCES * options.tolerance_mm
+    moved = np.asarray(transform_points(T_a_b, matches.points_b), float)
+    own = np.arange(len(matches))
+    near = np.linalg.norm(matches.points_a - moved, axis=1) <= reach
+    near &= _turned_alike(matches, T_a_b, own, own, coarse)
+    points_a, moved = matches.points_a[near], moved[near]
+    i, j = _pairs_within(points_a, points_a, reach)
+    agree = np.linalg.norm(points_a[i] - moved[j], axis=1) <= _FREEDOM * options.tolerance_mm
+    even = (_FREEDOM / _NEARLY_TOLERANCES) ** 2
+    chance = (agree.sum() + _PRIOR_PAIRS * even) / (len(i) + _PRIOR_PAIRS)
+    return np.asarray(near), float(max(chance, even))
+
+
+def _pairs_within(a: Array, b: Array, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices (i, j), i != j, of points of a and b within `reach` of each other."""
+    found = cKDTree(a).sparse_distance_matrix(cKDTree(b), reach, output_type="coo_matrix") if len(a) else None
+    if found is None:
+        return np.empty(0, np.intp), np.empty(0, np.intp)
+    other = found.row != found.col
+    return found.row[other], found.col[other]
+
+
+def _turned_alike(
+    matches: Matches, T_a_b: Array, i: NDArray[np.intp], j: NDArray[np.intp], coarse: CoarseResult
+) -> NDArray[np.bool_]:
+    """Whether the frames of places i of a and j of b agree under T_a_b in orientation and normal."""
+    turned = T_a_b[:3, :3] @ matches.frames_b[j]
+    frames = matches.frames_a[i]
+    orientation = (frames[:, :, 0] * turned[:, :, 0]).sum(1) >= np.cos(coarse.options.frame_angle_rad)
+    normal = (frames[:, :, 2] * turned[:, :, 2]).sum(1) >= np.cos(coarse.options.normal_angle_rad)
+    return np.asarray(orientation & normal)
+
+
+def log10_by_windows(windows: Windows) -> float:
+    """Return log10 of the chance that so many windows agree where the textures have nothing to do with each other.
+
+    Under chance a peak stands anywhere in the search area. Where textures are alike over more than a window (lines,
+    streaks, patterns), peaks come in clusters: numbers are divided by their dispersion.
+    """
+    factor = dispersion(windows)
+    trials = int(np.floor(len(windows) / factor))
+    return log10_binomial_tail(min(trials, int(np.floor(windows.agrees.sum() / factor))), trials, windows.chance)
+
+
+def dispersion(windows: Windows) -> float:
+    """Return how many times the peaks of windows that do not agree cluster beyond chance, at least 1.
+
+    Index of dispersion (variance over mean) of the peaks' numbers in cells as large as the area of agreement.
+    """
+    others = windows.offset_mm[~windows.agrees]
+    # Fewer peaks than cells say nothing about their clustering.
+    cells_a_side = max(1, round(1 / np.sqrt(windows.chance)))
+    if len(others) < cells_a_side**2:
+        return 1.0
+    reach = np.abs(windows.offset_mm).max() + 1e-9
+    column, row = ((others + reach) / (2 * reach) * cells_a_side).astype(int).T
+    all_counts = np.bincount(row * cells_a_side + column, minlength=cells_a_side**2)
+    rows, columns = np.divmod(np.arange(cells_a_side**2), cells_a_side)
+    # The cells that the area of agreement touches lack what agrees.
+    middle = (cells_a_side - 1) / 2
+    counts = all_counts[np.hypot(rows - middle, columns - middle) >= 1.5]
+    mean = counts.mean()
+    # Less than three standard deviations of the index above 1 (sqrt(2 / cells)) is chance.
+    index = float(counts.var(ddof=1) / mean) if mean > 0 else 1.0
+    return index if index > 1 + 3 * np.sqrt(2 / len(counts)) else 1.0
+
+
+def log10_of_product(log10_p: float, log10_q: float) -> float:
+    """Return log10 of the chance that the product of two independent chances is as small (Fisher 1925): x (1 - ln x).
+
+    A number of false alarms serves as a chance where it is below 1: Markov's inequality.
+    """
+    log_x = (min(log10_p, 0.0) + min(log10_q, 0.0)) * np.log(10)
+    return float((log_x + np.log1p(-log_x)) / np.log(10))
+
+
+def log10_transforms(area_mm2: float, agree_mm: float) -> float:
+    """Return log10 of how many transforms of two surfaces of this area windows can tell apart.
+
+    Surfaces that lie on each other leave three freedoms: two shifts over the extent of both, in steps of what counts as
+    agreement, and a turn whose step moves the rim by as much. No search can try more that differ.
+    """
+    extent = max(2 * np.sqrt(max(area_mm2, 0.0)), agree_mm)
+    return float(2 * np.log10(extent / agree_mm) + np.log10(max(np.pi * extent / 2 / agree_mm, 1.0)))

@@ -1,0 +1,137 @@
+"""Times of one pair with 5,000 keypoints each, beside named peers in the same process.
+
+    python benchmarks/pair_speed.py
+
+Two captures of the door at full resolution, with marks enough for the keypoints. In one thread, as in a worker:
+processor time, median of the runs. OpenCV's SIFT and its matcher work on the same texture image and the same
+descriptors.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import cv2
+import numpy as np
+
+from planish.measurement import Measurement
+from planish.pipeline import RegisterOptions
+from planish.registration.consensus import find_consensus
+from planish.registration.keypoints.detect import detect_keypoints
+from planish.registration.match.matching import match
+from planish.registration.match.patches import PatchSide
+from planish.registration.pair import common_gsd, common_pitch, length_factor, prepare, register_pair
+from planish.registration.surface import fit_surface
+from planish.registration.texture.photometric import local_contrast
+from planish.registration.texture.resample import TextureImage, texture_images
+from planish.simulation.scenes import make_scene
+from render_tables import save_table
+from rendered import measure_scene
+
+KEYPOINTS, DENSITY = 5000, 2.0
+#: Grey levels per robust deviation of the texture, and SIFT's contrast threshold, with which it finds most.
+GREY_PER_DEVIATION, SIFT_CONTRAST = 22.0, 0.02
+
+
+def timed(function: Callable[[], Any], runs: int) -> tuple[float, Any]:
+    """Return the median seconds of a call after one that does not count, and what it returned."""
+    found = function()
+    seconds = []
+    for _ in range(runs):
+        started = time.process_time()
+        function()
+        seconds.append(time.process_time() - started)
+    return median(seconds), found
+
+
+def measured_pair() -> tuple[Measurement, Measurement]:
+    """Return two captures of the door that overlap by some 40 %."""
+    scene = make_scene("door", 1, texture_density=DENSITY)
+    return measure_scene(scene, 0), measure_scene(scene, 1)
+
+
+def grey_image(image: TextureImage) -> np.ndarray:
+    """Return the texture image in grey levels for OpenCV, so that SIFT finds as much as it can in it."""
+    deviation = 1.4826 * float(np.median(np.abs(image.value[image.mask])))
+    grey = np.clip(127.5 + GREY_PER_DEVIATION / deviation * image.value, 0, 255)
+    return np.where(image.mask, grey, 127.5).astype(np.uint8)
+
+
+def peak_mib(files: tuple[Path, Path], options: RegisterOptions, pitch_mm: float) -> float:
+    """Return the largest memory [MiB] of a worker that reads, prepares and registers two measurements."""
+    first, second = (prepare(Measurement.load(file), pitch_mm, options, 1) for file in files)
+    register_pair(first, second, options, 1, 1)
+    # ru_maxrss counts kilobytes on Linux.
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def worker_memory(a: Measurement, b: Measurement, options: RegisterOptions, pitch_mm: float) -> float:
+    """Return `peak_mib` of a process that has done nothing else."""
+    with tempfile.TemporaryDirectory() as folder:
+        files = Path(folder) / "a.h5", Path(folder) / "b.h5"
+        a.save(files[0])
+        b.save(files[1])
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            return pool.submit(peak_mib, files, options, pitch_mm).result()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=5)
+    runs = parser.parse_args().runs
+    os.environ["PLANISH_THREADS"] = "1"
+    cv2.setNumThreads(1)
+    a, b = measured_pair()
+    options = RegisterOptions.model_validate({"keypoints": {"max_keypoints": KEYPOINTS}})
+    options, pitch = options.scaled(length_factor(common_gsd([a, b]))), common_pitch([a, b])
+    surface = fit_surface(a, options.surface, 1)
+    contrast_s, contrast = timed(lambda: local_contrast(a, options.photometric, surface, threads=1), runs)
+    drawing_s, images = timed(lambda: texture_images(a, surface, contrast, pitch, options.charts), runs)
+    keypoints_s, _ = timed(lambda: detect_keypoints(images, options.keypoints), runs)
+    greys = [grey_image(image) for image in images]
+    sift = cv2.SIFT.create(KEYPOINTS, contrastThreshold=SIFT_CONTRAST)
+    sift_s, _ = timed(lambda: [sift.detectAndCompute(g, None) for g in greys], runs)
+    first, second = (prepare(m, pitch, options, 1) for m in (a, b))
+    sides = [PatchSide(p.keypoints, p.images, p.patches) for p in (first, second)]
+    matching_s, matches = timed(lambda: match(*sides, options.match, 1), runs)
+    consensus_s, _ = timed(lambda: find_consensus(matches, options.consensus, 1), runs)
+    pair_s, result = timed(lambda: register_pair(first, second, options, 1, 1), runs)
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    words = [np.asarray(p.keypoints.descriptors, np.float32) for p in (first, second)]
+    brute_s, _ = timed(lambda: matcher.knnMatch(*words, k=2), runs)
+    n = min(len(first.keypoints), len(second.keypoints))
+    memory = worker_memory(a, b, options, pitch)
+    rows = [
+        {"what": "local contrast", "seconds": contrast_s},
+        {"what": "texture images", "seconds": drawing_s},
+        {"what": "both (a texture from a measurement)", "seconds": contrast_s + drawing_s, "limit": 0.08},
+        {"what": "keypoints", "seconds": keypoints_s, "peer": "OpenCV SIFT, same images",
+         "ratio": keypoints_s / sift_s},
+        {"what": f"matching ({n} keypoints)", "seconds": matching_s, "peer": "OpenCV brute force, ratio test only",
+         "ratio": matching_s / brute_s},
+        {"what": f"consensus ({len(matches)} matches)", "seconds": consensus_s},
+        {"what": "matching and consensus", "seconds": matching_s + consensus_s, "limit": 0.15},
+        {"what": f"the whole pair, refinement included ({result.status})", "seconds": pair_s},
+        {"what": "peak memory of a worker that registers the pair", "memory": memory, "limit": 1024.0},
+    ]  # fmt: skip
+    print(*rows, sep="\n")
+    columns = {
+        "what": "stage, one thread", "seconds": "processor time [s]", "memory": "[MiB]", "limit": "to reach",
+        "peer": "peer", "ratio": "over the peer",
+    }  # fmt: skip
+    formats = {"seconds": ".3f", "memory": ".0f", "ratio": ".2f"}
+    save_table("pair-speed", columns, rows, f"python benchmarks/pair_speed.py --runs {runs}", formats)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,121 @@
+"""Both textures in one picture: b's texture drawn where a transform puts it in a's texture images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.geometry import Array, invert, transform_points
+from planish.measurement import Map, Measurement
+from planish.registration.texture.resample import TextureImage
+
+
+@dataclass(frozen=True)
+class Side:
+    """What the verdict needs of one measurement; `contrast` is its local contrast with standard deviation (H, W)."""
+
+    measurement: Measurement
+    images: tuple[TextureImage, ...]
+    contrast: tuple[Map, Map]
+
+
+@dataclass(frozen=True)
+class Aligned:
+    """A texture image of a and what a transform puts there of b; all maps are (h, w) on the image's pixels.
+
+    Parameters
+    ----------
+    image : TextureImage
+        Of a.
+    common : ndarray (h, w) bool
+        Where b has its surface within the gate of a's: the common region that the transform predicts. What several
+        images of a hold counts in the first of them.
+    value_b, sigma_b : ndarray (h, w) float32
+        Texture of b and its standard deviation there, 0 elsewhere.
+    source_b : ndarray (h, w, 2) float32
+        Pixel (u, v) of b's organising camera; NaN where not `common`.
+    """
+
+    image: TextureImage
+    common: NDArray[np.bool_]
+    value_b: Map
+    sigma_b: Map
+    source_b: Map
+
+
+def align(
+    a: Side, b: Side, T_a_b: Array, gate_mm: float, lattice_px: tuple[int, int] | None = None
+) -> tuple[Aligned, ...]:
+    """Return, per texture image of a, b's texture under T_a_b; surfaces belong together within `gate_mm`.
+
+    `lattice_px` is distance and edge of squares [texture px] outside which nothing is asked.
+    """
+    covered = np.zeros(a.measurement.shape, bool) if len(a.images) > 1 else None
+    return tuple(_align_one(_asked(image, covered, lattice_px), image, b, T_a_b, gate_mm) for image in a.images)
+
+
+def _asked(
+    image: TextureImage, covered: NDArray[np.bool_] | None, lattice_px: tuple[int, int] | None
+) -> NDArray[np.bool_]:
+    own = image.mask if covered is None else _not_yet(image, covered)
+    if lattice_px is None:
+        return own
+    rows, columns = (np.arange(n) % lattice_px[0] < lattice_px[1] for n in own.shape)
+    return own & rows[:, None] & columns[None, :]
+
+
+def _align_one(own: NDArray[np.bool_], image: TextureImage, b: Side, T_a_b: Array, gate_mm: float) -> Aligned:
+    v, u = np.nonzero(own)
+    T_b_a = invert(T_a_b)
+    points = np.asarray(transform_points(T_b_a, image.points_sensor[v, u].astype(float)), float)
+    normals = image.normals_sensor[v, u].astype(float) @ T_b_a[:3, :3].T
+    camera, (rows, columns) = b.measurement.camera, b.measurement.shape
+    pixels = camera.project(points)
+    with np.errstate(invalid="ignore"):
+        inside = ((pixels > -0.5) & (pixels < np.array([columns, rows]) - 0.5)).all(1)
+        inside &= ((points - camera.center_sensor) * normals).sum(1) < 0
+    index = np.flatnonzero(inside)
+    column, row = np.rint(pixels[index]).astype(int).T
+    gap = ((b.measurement.points_sensor[row, column] - points[index]) * normals[index]).sum(1)
+    with np.errstate(invalid="ignore"):
+        index = index[np.abs(gap) <= gate_mm]
+    at = pixels[index].astype(np.float32)
+    drawn = [sample(picture, at) for picture in (np.nan_to_num(b.contrast[0], nan=0.0), b.contrast[1])]
+    known = np.isfinite(drawn[1])
+    index, at, drawn = index[known], at[known], [d[known] for d in drawn]
+    common = np.zeros(own.shape, bool)
+    value, sigma = np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
+    source = np.full((*own.shape, 2), np.nan, np.float32)
+    place = v[index], u[index]
+    common[place], value[place], sigma[place], source[place] = True, drawn[0], drawn[1], at
+    return Aligned(image, common, value, sigma, source)
+
+
+def _not_yet(image: TextureImage, covered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels (h, w) of an image of a that no earlier one holds; marks in `covered` (H, W) what it holds."""
+    v, u = np.nonzero(image.mask)
+    column, row = np.clip(np.rint(image.source_px[v, u]).astype(int), 0, np.array(covered.shape)[::-1] - 1).T
+    new = ~covered[row, column]
+    own = np.zeros(image.mask.shape, bool)
+    own[v[new], u[new]] = True
+    held = np.zeros(covered.shape, np.uint8)
+    held[row, column] = 1
+    # A texture pixel is coarser than a camera pixel: what lies between its samples is held as well.
+    covered |= cv2.dilate(held, np.ones((3, 3), np.uint8)) > 0
+    return own
+
+
+def sample(picture: Map, xy: Map) -> Map:
+    """Return the values (N, ...) of a picture at places (N, 2) (column, row), linearly interpolated."""
+    if len(xy) == 0:
+        return np.empty((0, *picture.shape[2:]), np.float32)
+    # cv2.remap cannot write more than 32767 rows: the places are laid out as a picture themselves.
+    width = 1024
+    padded = np.zeros((-(-len(xy) // width) * width, 2), np.float32)
+    padded[: len(xy)] = xy
+    maps = padded.reshape(-1, width, 2)
+    drawn = cv2.remap(picture, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(drawn.reshape(len(padded), *picture.shape[2:])[: len(xy)])

@@ -1,0 +1,208 @@
+"""A motion that the matches suggest, with what speaks for it: matches, windows, how it moves in the image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.geometry import Array, fit_rigid, invert, rotation_angle, transform_points
+from planish.measurement import Measurement
+from planish.registration.consensus import Candidate, CoarseResult
+from planish.registration.matches import Matches
+from planish.registration.refine.anchor import Anchor
+from planish.registration.texture.resample import TextureImage
+from planish.registration.verdict.aligned import Side, sample
+from planish.registration.verdict.false_alarms import (
+    log10_by_matches,
+    log10_by_windows,
+    log10_of_product,
+    log10_transforms,
+)
+from planish.registration.verdict.verify import (
+    VerifyOptions,
+    Windows,
+    apart_from,
+    correlate_windows,
+    screening_step,
+)
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One motion of b into a with its evidence.
+
+    Parameters
+    ----------
+    T_a_b : ndarray (4, 4)
+        Fitted to matches and agreeing windows.
+    members : ndarray (n,) int64
+        Matches of the consensus.
+    places : int
+        Distinct places among them.
+    points_a : ndarray (n, 3)
+        Places of these matches [mm], in the frame of a.
+    windows : Windows
+        Of the common region that the motion predicts.
+    log10_false_alarms : float
+        Expected number of motions this good by chance, in one pair.
+    log10_by_windows : float
+        The same by all its windows alone, against all transforms there are.
+    moved_px : float
+        Median motion in the image of what agrees.
+    """
+
+    T_a_b: Array
+    members: NDArray[np.int64]
+    places: int
+    points_a: Array
+    windows: Windows
+    log10_false_alarms: float
+    log10_by_windows: float
+    moved_px: float
+
+    @property
+    def agreeing(self) -> int:
+        """Number of agreeing windows."""
+        return int(self.windows.agrees.sum())
+
+    def drift_mm(self, T_a_b: Array) -> float:
+        """Return by how much another transform misplaces what agrees (rms) [mm]."""
+        chosen = self.windows.points_a[self.windows.agrees]
+        points_a = chosen if len(chosen) >= _MIN_WINDOWS else self.points_a
+        if len(points_a) == 0:
+            return 0.0
+        moved = transform_points(T_a_b @ invert(self.T_a_b), points_a)
+        return float(np.sqrt(((moved - points_a) ** 2).sum(1).mean()))
+
+    def anchor(self) -> Anchor | None:
+        """Return what the agreeing windows hold the refinement by, or None where they are hardly more than chance."""
+        agrees, windows = self.windows.agrees, self.windows
+        by_chance = windows.chance * len(windows)
+        if agrees.sum() < max(_MIN_WINDOWS, _CREDIBLE * by_chance):
+            return None
+        scatter = np.sqrt((windows.offset_mm[agrees] ** 2).mean() / 2)
+        # Those that agree by chance say nothing.
+        counted = 1 - by_chance / agrees.sum()
+        return Anchor(self.T_a_b, windows.points_a[agrees], float(scatter / np.sqrt(counted)))
+
+
+#: Transforms are fitted to what agrees at most so often.
+_FITS = 3
+#: Windows are fitted to where they agree so many times more often than by chance: else chance would draw the fit.
+_CREDIBLE = 3.0
+#: A smaller change (rms) alters neither which windows agree nor how well [texture px].
+_SETTLED_PX = 0.15
+#: As few agreeing windows as this fix a rigid motion with redundancy.
+_MIN_WINDOWS = 6
+
+
+def weigh(
+    a: Side,
+    b: Side,
+    matches: Matches,
+    candidate: Candidate,
+    coarse: CoarseResult,
+    looked_at_mm: float,
+    options: VerifyOptions,
+) -> Hypothesis:
+    """Return what speaks for a candidate of the consensus.
+
+    Two independent tests are multiplied: the agreement of the matches, and that of the windows which no match of
+    the consensus has looked at (`looked_at_mm` around its place). Where these are none, all windows are
+    counted against all transforms that could have been tried. Of both ways the better counts, twice.
+    """
+    by_matches = log10_by_matches(matches, candidate.members, candidate.T_a_b, coarse, looked_at_mm)
+    members = matches.take(candidate.members)
+    reach = looked_at_mm + options.window_mm / 2
+
+    def product(windows: Windows) -> float:
+        free = windows.take(apart_from(windows, members.points_a, reach))
+        # All candidates of a pair are weighed.
+        return log10_of_product(by_matches, log10_by_windows(free)) + float(np.log10(max(1, len(coarse.candidates))))
+
+    T, exhaustive, every = candidate.T_a_b, np.inf, screening_step(a, options)
+    windows = correlate_windows(a, b, T, options, every)
+    alarms = product(windows)
+    # Of most pairs that do not overlap a part of the windows shows that nothing agrees.
+    if every == 1 or alarms < 0 or log10_by_windows(windows) < _WORTH_A_LOOK:
+        windows = windows if every == 1 else correlate_windows(a, b, T, options)
+        alarms = product(windows)
+        T, windows = _fitted(a, b, members, T, windows, options)
+        exhaustive = log10_by_windows(windows) + log10_transforms(_area_mm2(a.images, b.images), options.agree_mm)
+    alarms = float(min(alarms, exhaustive) + np.log10(2))
+    if alarms >= 0:
+        # No evidence: the consensus alone says how far from significance it is.
+        alarms = max(alarms, by_matches)
+    return Hypothesis(
+        T, candidate.members, candidate.places, members.points_a, windows, alarms, exhaustive,
+        _moved_px(matches, candidate.members, windows),
+    )  # fmt: skip
+
+
+#: log10 of the chance of the screened windows below which all are looked at.
+_WORTH_A_LOOK = np.log10(0.2)
+
+
+def as_hypothesis(a: Side, b: Side, T_a_b: Array, options: VerifyOptions) -> Hypothesis:
+    """Return what the windows alone say about a transform that no match suggested."""
+    windows = correlate_windows(a, b, T_a_b, options)
+    T, windows = _fitted(a, b, None, T_a_b, windows, options)
+    alarms = log10_by_windows(windows) + log10_transforms(_area_mm2(a.images, b.images), options.agree_mm)
+    return Hypothesis(
+        T, np.empty(0, np.int64), 0, np.empty((0, 3)), windows, alarms, alarms, _moved_px(None, None, windows)
+    )
+
+
+def _area_mm2(*sides: tuple[TextureImage, ...]) -> float:
+    return float(max(sum(int(i.mask.sum()) * i.pitch_mm**2 for i in images) for images in sides))
+
+
+def _fitted(
+    a: Side, b: Side, members: Matches | None, T_a_b: Array, windows: Windows, options: VerifyOptions
+) -> tuple[Array, Windows]:
+    """Transform fitted to the agreeing windows, until it settles."""
+    for _ in range(_FITS):
+        points_a, points_b = _window_points(b.measurement, windows)
+        if len(points_a) < max(_MIN_WINDOWS, _CREDIBLE * windows.chance * len(windows)):
+            break
+        if members is not None:
+            points_a, points_b = (
+                np.concatenate(x) for x in ((points_a, members.points_a), (points_b, members.points_b))
+            )
+        T = fit_rigid(points_a, points_b)
+        shift = np.linalg.norm(transform_points(T, points_b) - transform_points(T_a_b, points_b), axis=1)
+        if np.sqrt((shift**2).mean()) < _SETTLED_PX * a.images[0].pitch_mm:
+            return T, windows
+        again = correlate_windows(a, b, T, options)
+        if again.agrees.sum() < windows.agrees.sum():
+            break
+        T_a_b, windows = T, again
+    return T_a_b, windows
+
+
+def _window_points(b: Measurement, windows: Windows) -> tuple[Array, Array]:
+    """Points of a and b (n, 3) that the agreeing windows put together."""
+    chosen = windows.agrees & np.isfinite(windows.found_b).all(1)
+    points_a = windows.points_a[chosen]
+    if len(points_a) == 0:
+        return points_a, points_a
+    points_b = sample(b.points_sensor, windows.found_b[chosen].astype(np.float32)).astype(float)
+    known = np.isfinite(points_b).all(1)
+    return points_a[known], points_b[known]
+
+
+def _moved_px(matches: Matches | None, members: NDArray[np.int64] | None, windows: Windows) -> float:
+    """Median motion in the image of the agreeing windows, or of the matches where there are too few."""
+    moved = np.linalg.norm(windows.found_b - windows.pixels_a, axis=1)[windows.agrees]
+    moved = moved[np.isfinite(moved)]
+    if len(moved) < _MIN_WINDOWS and matches is not None and members is not None:
+        moved = np.linalg.norm((matches.pixels_a - matches.pixels_b)[members], axis=1)
+    return float(np.median(moved)) if len(moved) else np.inf
+
+
+def apart(first: Hypothesis, other: Hypothesis, centre_b: Array) -> tuple[float, float]:
+    """Return how far apart two motions are: rotation [rad], translation at a point of b [mm]."""
+    shift = transform_points(other.T_a_b, centre_b) - transform_points(first.T_a_b, centre_b)
+    return rotation_angle(first.T_a_b[:3, :3].T @ other.T_a_b[:3, :3]), float(np.linalg.norm(shift))

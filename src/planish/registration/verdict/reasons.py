@@ -1,0 +1,93 @@
+"""The reasons of a verdict: sentences that a metrologist can act on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from planish.registration.result import Direction, RunnerUp
+from planish.registration.texture.resample import TextureImage
+from planish.registration.verdict.hypothesis import Hypothesis
+
+#: Share of the texture's variance that is signal, above which a window of some 60 independent cells correlates by
+#: four standard deviations: 4 / sqrt(60) = 0.5.
+_ENOUGH_SIGNAL = 0.5
+
+
+def texture_strength(images: tuple[TextureImage, ...]) -> tuple[float, float]:
+    """Return the standard deviation of the texture and that of its noise, as local contrast."""
+    values = [image.value[image.mask][::7] for image in images if image.mask.any()]
+    sigmas = [image.sigma[image.mask][::7] for image in images if image.mask.any()]
+    if not values:
+        return 0.0, 0.0
+    value, sigma = np.concatenate(values).astype(float), np.concatenate(sigmas).astype(float)
+    # 1.4826 median |x|: sparse specks and scratches are no texture that every overlap would hold.
+    return 1.4826 * float(np.median(np.abs(value))), float(np.sqrt(np.median(sigma**2)))
+
+
+def why_nothing(images_a: tuple[TextureImage, ...], images_b: tuple[TextureImage, ...]) -> str:
+    """Return which it is, no overlap or too little texture, as far as texture and noise say."""
+    strengths = [texture_strength(images) for images in (images_a, images_b)]
+    (a, noise_a), (b, noise_b) = strengths
+    if min(a, b) == 0:
+        return "one of them shows no surface with texture at all: check exposure and mask"
+    share = float(np.sqrt(max(0.0, 1 - (noise_a / a) ** 2) * max(0.0, 1 - (noise_b / b) ** 2)))
+    figures = f"texture {100 * min(a, b):.2f} %, noise {100 * max(noise_a, noise_b):.2f} %"
+    if share >= _ENOUGH_SIGNAL:
+        return (
+            f"both show texture enough ({figures}) for an overlap of 30 % to be found, so they probably overlap less "
+            "or not at all: take a view between them"
+        )
+    return (
+        f"the texture is too weak ({figures}) to tell whether they overlap: take more or brighter images, or move "
+        "nearer"
+    )
+
+
+def describe_motion(other: RunnerUp) -> str:
+    """Return how far another transform is from the chosen one, in words."""
+    return f"{other.translation_mm:.1f} mm and {np.rad2deg(other.rotation_rad):.1f} deg"
+
+
+def repeats(first: Hypothesis, other: RunnerUp, shared: int) -> str:
+    """Return why a repeating texture leaves the pair ambiguous."""
+    turn = np.rad2deg(other.rotation_rad)
+    if turn > 5:
+        what = f"turned by {turn:.0f} deg it looks the same"
+    else:
+        what = f"it repeats after {other.translation_mm:.1f} mm"
+    return (
+        f"two transforms explain the texture equally well, {describe_motion(other)} apart ({shared} of "
+        f"{first.agreeing} agreeing windows fit both): {what}; add something unique to the overlap (a mark, a rim)"
+    )
+
+
+def two_motions(first: Hypothesis, other: Hypothesis, evidence: RunnerUp) -> str:
+    """Return why two motions leave the pair ambiguous."""
+    return (
+        f"two things moved differently, {describe_motion(evidence)} apart: {support(first)} follow one, "
+        f"{support(other)} the other; exclude one of them by a mask or volume"
+    )
+
+
+def support(hypothesis: Hypothesis) -> str:
+    """Return what agrees with a motion."""
+    if hypothesis.agreeing >= 3:
+        return f"{hypothesis.agreeing} of {len(hypothesis.windows)} windows"
+    return f"{hypothesis.places} places"
+
+
+def loose_directions(directions: list[Direction]) -> str:
+    """Return which directions are held by neither geometry nor texture, in words."""
+    words = []
+    for d in directions:
+        rotation, translation = np.array(d.direction[:3]), np.array(d.direction[3:])
+        turns = bool(np.linalg.norm(rotation) > np.linalg.norm(translation))
+        axis = rotation if turns else translation
+        axis = axis / np.linalg.norm(axis)
+        kind = "a rotation about" if turns else "a shift along"
+        words.append(f"{kind} ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) uncertain by {d.sigma_mm:.1f} mm")
+    return (
+        f"{len(directions)} direction(s) held by neither geometry nor texture: {'; '.join(words)} (axes in the frame "
+        "of the first); the texture runs along it (brush marks, lines) or the overlap is too small: take a view with "
+        "more overlap, or one that shows an edge"
+    )

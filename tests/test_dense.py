@@ -1,0 +1,140 @@
+"""The dense path: weak textures are found by correlation of whole surfaces, and unrelated ones are not."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from planish.geometry import compose, exp_so3, invert, transform_points
+from planish.registration.consensus import find_consensus
+from planish.registration.dense.develop import Development
+from planish.registration.dense.match import DenseTexture, match_windows
+from planish.registration.dense.spectrum import analyse, plan_rotations
+from planish.registration.verdict.false_alarms import log10_false_alarms
+
+PITCH = 1.0
+SIZE = (230, 260)
+#: Rms error of the found transform over b [mm]: from there the refinement takes over.
+POSITION_TOLERANCE = 1.0
+
+
+def texture(seed, along=1.2, across=1.2, size=(900, 900)):
+    """Smooth noise of unit variance with the given correlation lengths [px]."""
+    noise = np.random.default_rng(seed).standard_normal(size).astype(np.float32)
+    smooth = cv2.GaussianBlur(noise, (0, 0), along, sigmaY=across)
+    return smooth / smooth.std()
+
+
+def view(part, angle, centre, contrast, seed, pattern=0.0, cylinder_mm=None):
+    """The part seen turned by `angle` about `centre` with unit noise, and its T_part_view (planes only)."""
+    h, w = SIZE
+    c, s = np.cos(angle), np.sin(angle)
+    R = np.array([[c, -s], [s, c]])
+    shift = np.asarray(centre, float) - R @ [w / 2, h / 2]
+    image = cv2.warpAffine(part, np.column_stack([R, shift]), (w, h), flags=cv2.INTER_CUBIC + cv2.WARP_INVERSE_MAP)
+    rng = np.random.default_rng(seed)
+    value = contrast * image + rng.standard_normal(SIZE).astype(np.float32)
+    value += pattern * np.random.default_rng(99).standard_normal(SIZE).astype(np.float32)
+    v, u = np.indices(SIZE, dtype=np.float32)
+    source = np.dstack([u, v])
+    noise = np.random.default_rng(1).standard_normal(SIZE).astype(np.float32)
+    s_mm, t_mm = u * PITCH, v * PITCH
+    if cylinder_mm is None:
+        points = np.dstack([s_mm, t_mm, 0 * s_mm])
+    else:
+        # In the part's coordinates, so that all views lie on one cylinder about the y axis.
+        x, y = (np.dstack([u, v]) @ R.T + shift).transpose(2, 0, 1) * PITCH
+        points = np.dstack(
+            [cylinder_mm * np.sin(x / cylinder_mm), y, cylinder_mm * (1 - np.cos(x / cylinder_mm))]
+        )  # fmt: skip
+    T = np.eye(4)
+    T[:2, :2], T[:2, 3] = R, shift * PITCH
+    development = Development(PITCH, value, noise, np.ones(SIZE, bool), source, points.astype(np.float32))
+    return DenseTexture(development, analyse(development)), T
+
+
+def found(a, b):
+    windows = match_windows((a,), (b,), 1.0, threads=1)
+    coarse = find_consensus(windows.matches, threads=1, chance=windows.chance)
+    best = coarse.candidates[0] if coarse.candidates else None
+    alarms = log10_false_alarms(best.places if best else 0, coarse.places, coarse.chance, windows.tried)
+    return best, alarms
+
+
+def error_mm(T, T_true, points):
+    p = points.reshape(-1, 3)[::97].astype(float)
+    return float(np.sqrt(((transform_points(T, p) - transform_points(T_true, p)) ** 2).sum(1).mean()))
+
+
+#: Texture of this share of the noise's standard deviation cannot be seen in any single place.
+WEAK = 0.35
+
+
+@pytest.mark.parametrize("turned_deg", [37.0, 217.0])
+def test_a_weak_brushed_texture_is_found_in_either_direction(turned_deg):
+    part = texture(3, along=6.0, across=0.9)
+    a, T_part_a = view(part, 0.2, (400, 400), WEAK, 10)
+    b, T_part_b = view(part, 0.2 + np.deg2rad(turned_deg), (440, 360), WEAK, 11)
+    best, alarms = found(a, b)
+    assert alarms < -10
+    assert error_mm(best.T_a_b, invert(T_part_a) @ T_part_b, b.development.points_sensor) < POSITION_TOLERANCE
+
+
+@pytest.mark.slow
+def test_a_weak_texture_without_direction_is_found_at_any_rotation():
+    part = texture(4)
+    a, T_part_a = view(part, 0.0, (400, 400), WEAK, 12)
+    b, T_part_b = view(part, 2.1, (430, 420), WEAK, 13)
+    assert not a.spectrum.directional
+    best, alarms = found(a, b)
+    assert alarms < -10
+    assert error_mm(best.T_a_b, invert(T_part_a) @ T_part_b, b.development.points_sensor) < POSITION_TOLERANCE
+
+
+def test_windows_carry_the_curvature_into_the_transform():
+    part = texture(5, along=6.0, across=0.9)
+    a, _ = view(part, 0.1, (400, 400), WEAK, 14, cylinder_mm=150.0)
+    b, _ = view(part, 0.9, (430, 380), WEAK, 15, cylinder_mm=150.0)
+    T_sensor = compose(exp_so3([0.3, -0.2, 0.5]), [10.0, 20.0, 30.0])
+    points = np.asarray(transform_points(T_sensor, b.development.points_sensor), np.float32)
+    moved = replace(b, development=replace(b.development, points_sensor=points))
+    best, alarms = found(a, moved)
+    assert alarms < -10
+    assert error_mm(best.T_a_b, invert(T_sensor), points) < POSITION_TOLERANCE
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_unrelated_textures_of_one_kind_give_no_significant_consensus(seed):
+    a, _ = view(texture(20 + seed, along=6.0, across=0.9), 0.2, (400, 400), WEAK, 30 + seed)
+    b, _ = view(texture(40 + seed, along=6.0, across=0.9), 0.7, (400, 400), WEAK, 50 + seed)
+    assert found(a, b)[1] > 0
+
+
+def test_what_stands_still_in_the_image_is_not_taken_for_texture():
+    a, _ = view(texture(6, along=6.0, across=0.9), 0.3, (300, 300), WEAK, 16, pattern=0.7)
+    b, _ = view(texture(7, along=6.0, across=0.9), 0.3, (600, 600), WEAK, 17, pattern=0.7)
+    assert found(a, b)[1] > 0
+
+
+def test_the_result_is_the_same_for_any_number_of_threads():
+    part = texture(8, along=6.0, across=0.9)
+    a, _ = view(part, 0.2, (400, 400), WEAK, 18)
+    b, _ = view(part, 0.6, (430, 390), WEAK, 19)
+    one, three = (match_windows((a,), (b,), 1.0, threads=n).matches for n in (1, 3))
+    assert one.points_a.tobytes() == three.points_a.tobytes()
+    assert one.points_b.tobytes() == three.points_b.tobytes()
+
+
+def test_no_texture_gives_no_matches():
+    assert len(match_windows((), (), 1.0).matches) == 0
+
+
+def test_rotations_to_be_tried_are_few_for_a_brushed_texture_and_contain_the_true_one():
+    part = texture(9, along=6.0, across=0.9)
+    a, _ = view(part, 0.2, (400, 400), WEAK, 20)
+    b, _ = view(part, 1.1, (420, 400), WEAK, 21)
+    plan = plan_rotations(a.spectrum, b.spectrum, 2e4)
+    step = 2 * np.pi / plan.full_turn
+    assert len(plan.angles) < 0.15 * plan.full_turn
+    assert np.abs(np.angle(np.exp(1j * (plan.angles - 0.9)))).min() < step
