@@ -11,7 +11,7 @@ import pytest
 
 import matched
 import sheets
-from planish.geometry import exp_se3
+from planish.geometry import exp_se3, transform_points
 from planish.registration.consensus import CoarseResult, find_consensus
 from planish.registration.pair import prepare, refine_pair
 from planish.registration.refine.covariance import noise_covariance, observability
@@ -21,6 +21,7 @@ from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.false_alarms import (
     chance_of_agreement,
     dispersion,
+    log10_by_matches,
     log10_by_windows,
     log10_false_alarms,
     log10_of_product,
@@ -148,6 +149,39 @@ def test_a_match_that_shares_its_direction_with_all_others_agrees_more_easily():
     assert one_direction / any_direction == pytest.approx(np.pi / coarse.options.frame_angle_rad, rel=0.3)
     # Places spread over 300 x 250 mm (the root of this area is the places' own), 1.5 mm around each.
     assert one_direction == pytest.approx(np.pi * 1.5**2 / (300 * 250), rel=0.2)
+
+
+def alarms_by_matches(points_of_members_mm, seed=0):
+    """False alarms of twelve matches that agree at these places of b, among 300."""
+    matches = matched.pair(np.random.default_rng(seed), 300, ((12, sheets.T_TRUE),))[2]
+    matches.points_b[:12, :2] = points_of_members_mm
+    matches.points_a[:12] = transform_points(sheets.T_TRUE, matches.points_b[:12])
+    coarse = find_consensus(matches)
+    return log10_by_matches(matches, np.arange(12), sheets.T_TRUE, coarse, 6.0)
+
+
+def test_matches_on_one_piece_of_texture_are_one_coincidence():
+    rng = np.random.default_rng(1)
+    assert alarms_by_matches(rng.uniform(-120, 120, (12, 2))) < -10
+    # All within the 6 mm that each of them has compared.
+    assert alarms_by_matches(rng.uniform(-4, 4, (12, 2))) > 0
+
+
+def test_matches_that_lie_on_a_line_because_rims_match_rims_prove_less():
+    rng = np.random.default_rng(1)
+    matches = matched.pair(rng, 300, ((40, sheets.T_TRUE),))[2]
+    # Forty matches between two rims; along them, only some agree.
+    along = np.linspace(-120, 120, 40)
+    matches.points_b[:40] = np.column_stack([along, np.full(40, 100.0), np.zeros(40)])
+    slid = np.where(np.arange(40) % 5 == 0, 0.0, rng.uniform(-15, 15, 40))
+    moved = matches.points_b[:40] + np.column_stack([slid, np.zeros((40, 2))])
+    matches.points_a[:40] = transform_points(sheets.T_TRUE, moved)
+    coarse = find_consensus(matches)
+    members = np.arange(0, 40, 5)
+    on_a_line = log10_by_matches(matches, members, sheets.T_TRUE, coarse, 1.0)
+    among_all = log10_false_alarms(8, coarse.places, chance_of_agreement(matches, sheets.T_TRUE, coarse), 1)
+    assert among_all < -10
+    assert on_a_line > among_all / 2
 
 
 def test_two_independent_chances_multiply_as_uniform_ones_do():

@@ -56,24 +56,45 @@ def log10_by_matches(
     match agrees exactly is taken from how the places of its neighbourhood lie: along a line it is far greater than in
     an area.
     """
-    apart_mm = max(_APART * looked_at_mm, coarse.options.distinct_mm)
-    places = count_places(matches.points_a[members], apart_mm)
-    tests = np.log10(max(coarse.places, 2) ** 2 / 2)
-    if places < 3:
-        return float(tests)
-    nearly, near_chance = _nearly_agreeing(matches, T_a_b, coarse)
-    everything = np.ones(len(matches), bool)
-    tails = []
-    for chosen, chance in ((everything, chance_of_agreement(matches, T_a_b, coarse)), (nearly, near_chance)):
-        # Places are counted greedily: few of all can be fewer than those of a part of them.
-        trials = max(count_places(matches.points_a[chosen], apart_mm), places)
-        of_place = min(1.0, chance * max(1.0, int(chosen.sum()) / trials))
-        tails.append(log10_binomial_tail(places - 2, trials - 2, of_place))
-    return float(tests + max(tails))
+    distance = np.linalg.norm(matches.points_a - transform_points(T_a_b, matches.points_b), axis=1)
+    best = 0.0
+    for share in _TOLERANCES:
+        agreeing = members[distance[members] <= share * coarse.options.tolerance_mm]
+        best = min(best, _log10_tail(matches, agreeing, T_a_b, coarse, looked_at_mm, share))
+    several = np.log10(len(_TOLERANCES)) if best < 0 else 0.0
+    return float(np.log10(max(coarse.places, 2) ** 2 / 2) + best + several)
 
 
+#: Matches that agree far better than they need are less likely chance: shares of the tolerance that are tried
+#: (adaptive thresholds: Moulon et al. 2012).
+_TOLERANCES = (1.0, 0.5, 0.25)
 #: Patches whose middles are so many radii apart share a seventh of their area.
 _APART = 1.5
+
+
+def _log10_tail(
+    matches: Matches,
+    agreeing: NDArray[np.int64],
+    T_a_b: Array,
+    coarse: CoarseResult,
+    looked_at_mm: float,
+    share: float,
+) -> float:
+    """log10 of the chance that so many places agree within a share of the tolerance; two of them fix the transform."""
+    apart_mm = max(_APART * looked_at_mm, coarse.options.distinct_mm)
+    places = count_places(matches.points_a[agreeing], apart_mm)
+    if places < 3:
+        return 0.0
+    nearly, near_chance = _nearly_agreeing(matches, T_a_b, coarse, share)
+    everything = np.ones(len(matches), bool)
+    whole_chance = share**2 * chance_of_agreement(matches, T_a_b, coarse)
+    # Places are counted greedily: few of all can be fewer than those of a part of them.
+    trials = [max(count_places(matches.points_a[chosen], apart_mm), places) for chosen in (everything, nearly)]
+    # All matches of a place lead anywhere, each to a chance of its own; those that nearly agree lead the same way.
+    of_place = min(1.0, whole_chance * max(1.0, len(matches) / trials[0])), near_chance
+    return max(log10_binomial_tail(places - 2, n - 2, p) for n, p in zip(trials, of_place, strict=True))
+
+
 #: The density of places near a place is averaged over this many tolerances.
 _DENSITY_TOLERANCES = 5.0
 #: Matches nearly agree within this many tolerances: many times as far as chance reaches, and well inside a part.
@@ -100,7 +121,9 @@ def chance_of_agreement(matches: Matches, T_a_b: Array, coarse: CoarseResult) ->
     return float(np.clip(max(density * (_FREEDOM / _DENSITY_TOLERANCES) ** 2, coarse.chance), 1e-12, 1.0))
 
 
-def _nearly_agreeing(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> tuple[NDArray[np.bool_], float]:
+def _nearly_agreeing(
+    matches: Matches, T_a_b: Array, coarse: CoarseResult, share: float
+) -> tuple[NDArray[np.bool_], float]:
     """Which matches (M,) nearly agree, and the chance that one of them agrees exactly."""
     options = coarse.options
     reach = _NEARLY_TOLERANCES * options.tolerance_mm
@@ -110,8 +133,8 @@ def _nearly_agreeing(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> tu
     near &= _turned_alike(matches, T_a_b, own, own, coarse)
     points_a, moved = matches.points_a[near], moved[near]
     i, j = _pairs_within(points_a, points_a, reach)
-    agree = np.linalg.norm(points_a[i] - moved[j], axis=1) <= _FREEDOM * options.tolerance_mm
-    even = (_FREEDOM / _NEARLY_TOLERANCES) ** 2
+    agree = np.linalg.norm(points_a[i] - moved[j], axis=1) <= share * _FREEDOM * options.tolerance_mm
+    even = (share * _FREEDOM / _NEARLY_TOLERANCES) ** 2
     chance = (agree.sum() + _PRIOR_PAIRS * even) / (len(i) + _PRIOR_PAIRS)
     return np.asarray(near), float(max(chance, even))
 
@@ -140,11 +163,21 @@ def log10_by_windows(windows: Windows) -> float:
     """Return log10 of the chance that so many windows agree where the textures have nothing to do with each other.
 
     Under chance a peak stands anywhere in the search area. Where textures are alike over more than a window (lines,
-    streaks, patterns), peaks come in clusters: numbers are divided by their dispersion.
+    streaks, patterns), peaks come in clusters: numbers are divided by their dispersion. All windows are asked, and
+    those of the most signal, which does not depend on where the peaks stand; the best counts, times their number.
     """
     factor = dispersion(windows)
-    trials = int(np.floor(len(windows) / factor))
-    return log10_binomial_tail(min(trials, int(np.floor(windows.agrees.sum() / factor))), trials, windows.chance)
+    order = np.argsort(-windows.expected, kind="stable")
+    tails = []
+    for share in _RICHEST:
+        agrees = windows.agrees[order[: int(np.ceil(share * len(order)))]]
+        trials = int(len(agrees) / factor)
+        tails.append(log10_binomial_tail(min(trials, int(agrees.sum() / factor)), trials, windows.chance))
+    return float(min(0.0, min(tails) + np.log10(len(_RICHEST))))
+
+
+#: Shares of the windows, those of the most signal first: sparse marks on a blank part fill few windows.
+_RICHEST = (1.0, 0.5, 0.25, 0.125)
 
 
 def dispersion(windows: Windows) -> float:

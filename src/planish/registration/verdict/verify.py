@@ -197,6 +197,8 @@ class _Cut:
     centre: NDArray[np.int64]
 
 
+#: Robust deviations at which values are clipped.
+_CLIPPED = 12.0
 #: A window counts if it and its search area are known to this share.
 _KNOWN = 0.8
 
@@ -226,7 +228,7 @@ def _cut(chart: Aligned, options: VerifyOptions, every: int) -> _Cut:
     noise = np.column_stack(
         [(windows(s, keep)[inner] ** 2).mean((1, 2)) for s in (chart.image.sigma, chart.sigma_b)]
     ) / np.maximum(known[inner].mean((1, 2)), _KNOWN)[:, None]  # fmt: skip
-    # Equal weight to every window and no rule of single specks: clipped at four robust deviations.
+    # Marks are texture, but one speck must not rule a window.
     a, b = _clipped(a), _clipped(b)
     only = np.zeros_like(a)
     only[inner] = a[inner]
@@ -236,7 +238,7 @@ def _cut(chart: Aligned, options: VerifyOptions, every: int) -> _Cut:
 def _clipped(values: Map) -> Map:
     if len(values) == 0:
         return values
-    limit = 4 * 1.4826 * np.median(np.abs(values), axis=(1, 2), keepdims=True)
+    limit = _CLIPPED * 1.4826 * np.median(np.abs(values), axis=(1, 2), keepdims=True)
     return np.asarray(np.clip(values, -limit, limit))
 
 
