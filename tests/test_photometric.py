@@ -216,10 +216,6 @@ def test_the_shading_follows_the_cosine_and_the_square_of_the_distance():
     assert np.nanstd(inner) < 2e-3 * np.nanmean(inner)
 
 
-def test_without_a_projector_there_is_no_shading_model(clean):
-    assert projector_shading(clean, fit_surface(clean), EVERY_PIXEL) is None
-
-
 def test_where_one_camera_sees_a_highlight_the_other_one_counts():
     m = sheets.quiet("a", 0.0)
     rows, columns = np.indices(m.shape)

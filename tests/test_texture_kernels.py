@@ -45,17 +45,21 @@ def test_the_kinds_of_a_cameras_images_are_combined_as_defined():
     both(kernel, reference.camera_contrast(*args))
 
 
-def test_views_are_merged_as_defined():
-    value, variance = (with_gaps(drawn(k, SHAPE, 0.1, 0.3), 5) for k in (1, 2))
+def test_another_camera_is_read_between_its_pixels_as_defined():
+    value, variance = (with_gaps(drawn(k, (33, 45), 0.1, 0.3), 5) for k in (3, 4))
     rows, columns = np.indices(SHAPE)
     place = np.stack([columns + 0.3 + 0.01 * rows, rows - 0.4], -1).astype(np.float32)
     place[3:5, 6] = np.nan
-    other = [drawn(k, (33, 45), 0.1, 0.3) for k in (3, 4)]
+    level = drawn(9, (9, 12), 0.5, 1.5)
+    for where in (place, np.empty((0, 0, 2), np.float32)):
+        args = (value, variance, level, FACTOR, where)
+        both(_core.compensated_image(*args, 2), reference.compensated_image(*args))
+
+
+def test_views_are_merged_as_defined():
+    maps = [with_gaps(drawn(k, SHAPE, 0.1, 0.3), k) for k in range(4)]
     light, trust = drawn(6, BLOCKS, 0.8, 1.2), drawn(7, BLOCKS, 0, 1)
-    views = [
-        (value, variance, np.empty((0, 0, 2), np.float32), light, trust),
-        (*other, place, light, trust[::-1].copy()),
-    ]
+    views = [(*maps[:2], light, trust), (*maps[2:], trust + 0.5, light)]
     valid = (drawn(8, SHAPE, 0, 1) > 0.1).astype(np.uint8)
     both(_core.merge_contrasts(views, valid, FACTOR, 2), reference.merge_contrasts(views, valid, FACTOR))
 

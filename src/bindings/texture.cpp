@@ -51,15 +51,28 @@ nb::tuple camera_contrast(const Maps& images, const std::vector<std::pair<float,
     return nb::make_tuple(value.map(), variance.map());
 }
 
-/// Per view (value, variance, place, shading, trust); `place` of size 0: the organising camera itself.
-nb::tuple merge_contrasts(const nb::list& views, const In<std::uint8_t, 2>& valid, int factor, int threads) {
-    std::vector<planish::ContrastView> parts;
-    for (const auto& item : views) {
+/// `place` of size 0: at the camera's own pixels.
+nb::tuple compensated_image(const In<float, 2>& value, const In<float, 2>& variance, const In<float, 2>& level,
+                            int factor, const In<float, 3>& place, int threads) {
+    const auto places = place.size() > 0 ? view<float, 3>(place) : planish::Image<const float>{};
+    const planish::ContrastView seen{view<float, 2>(value), view<float, 2>(variance), view<float, 2>(level), factor};
+    const int height = places.empty() ? seen.value.height : places.height;
+    const int width = places.empty() ? seen.value.width : places.width;
+    Owned<float> image(height, width, 1), out_variance(height, width, 1);
+    {
+        nb::gil_scoped_release release;
+        planish::compensated_image(seen, places, height, width, threads, image.image, out_variance.image);
+    }
+    return nb::make_tuple(image.map(), out_variance.map());
+}
+
+/// Per camera (image, variance, expected, trust).
+nb::tuple merge_contrasts(const nb::list& images, const In<std::uint8_t, 2>& valid, int factor, int threads) {
+    std::vector<planish::SeenImage> parts;
+    for (const auto& item : images) {
         const auto maps = nb::cast<nb::tuple>(item);
         const auto map = [&](int i) { return view<float, 2>(nb::cast<In<float, 2>>(maps[i])); };
-        const auto place = nb::cast<In<float, 3>>(maps[2]);
-        parts.push_back(
-            {map(0), map(1), place.size() > 0 ? view<float, 3>(place) : planish::Image<const float>{}, map(3), map(4)});
+        parts.push_back({map(0), map(1), map(2), map(3)});
     }
     const auto points = view<std::uint8_t, 2>(valid);
     Owned<float> value(points.height, points.width, 1), sigma(points.height, points.width, 1);
@@ -122,5 +135,7 @@ void bind_texture(nb::module_& m) {
     m.def("add_to_pattern", &add_to_pattern, "value"_a, "weight"_a, "factor"_a, "sum"_a, "weights"_a, "threads"_a);
     m.def("remove_pattern", &remove_pattern, "value"_a, "variance"_a, "own"_a, "sum"_a, "weight"_a, "prior"_a,
           "still"_a, "gain"_a, "factor"_a, "threads"_a);
-    m.def("merge_contrasts", &merge_contrasts, "views"_a, "valid"_a, "factor"_a, "threads"_a);
+    m.def("compensated_image", &compensated_image, "value"_a, "variance"_a, "level"_a, "factor"_a, "place"_a,
+          "threads"_a);
+    m.def("merge_contrasts", &merge_contrasts, "images"_a, "valid"_a, "factor"_a, "threads"_a);
 }

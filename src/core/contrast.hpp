@@ -28,18 +28,28 @@ struct ContrastPlan {
 void camera_contrast(const std::vector<Exposed>& images, const ContrastPlan& plan, int threads,
                      const Image<float>& value, const Image<float>& variance);
 
-/// One camera's share of the texture.
+/// One camera's contrast on its own grid; `level` (h, w) is the grey value that it is relative to.
 struct ContrastView {
-    Image<const float> value, variance;  ///< on the camera's own grid; NaN where unknown
-    Image<const float> place;            ///< own pixel (u, v) per pixel of the organising grid; empty: the same pixel
-    Image<const float> shading;          ///< (h, w): expected brightness over its low-pass
+    Image<const float> value, variance, level;
+    int factor = 1;
+};
+
+/// The image (1 + value) level and its variance [grey levels], read at the places (H, W, 2) on the camera's own grid by
+/// cubic convolution, whose weights give the noise; without places at its own pixels. NaN where a place is none or its
+/// surroundings are not known.
+void compensated_image(const ContrastView& view, const Image<const float>& place, int height, int width, int threads,
+                       const Image<float>& image, const Image<float>& variance);
+
+/// One camera's image on the organising grid.
+struct SeenImage {
+    Image<const float> image, variance;  ///< (H, W); NaN where unknown
+    Image<const float> expected;         ///< (h, w): grey value of an even albedo
     Image<const float> trust;            ///< (h, w): factor of the weight
 };
 
-/// Mean of the views on the organising grid, weighted by trust / variance, and its standard deviation; NaN where no
-/// view knows the pixel or `valid` (H, W) is 0. (1 + value) / shading - 1 takes the shading off. A view with `place` is
-/// read by cubic convolution, whose weights give its noise.
-void merge_contrasts(const std::vector<ContrastView>& views, const Image<const unsigned char>& valid, int factor,
+/// Mean of image / expected - 1 over the cameras, weighted by trust / variance, and its standard deviation; NaN where
+/// no camera knows the pixel or `valid` (H, W) is 0.
+void merge_contrasts(const std::vector<SeenImage>& images, const Image<const unsigned char>& valid, int factor,
                      int threads, const Image<float>& value, const Image<float>& sigma);
 
 }  // namespace planish

@@ -1,7 +1,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <optional>
+#include <vector>
 
 #include "core/blocks.hpp"
 #include "core/contrast.hpp"
@@ -17,8 +17,8 @@ struct Read {
     float value = kNaN, variance = kNaN;
 };
 
-Read read_cubic(const ContrastView& view, float u, float v) {
-    const int width = view.value.width, height = view.value.height;
+Read read_cubic(const Image<const float>& values, const Image<const float>& variances, float u, float v) {
+    const int width = values.width, height = values.height;
     // False for NaN: no correspondence.
     if (!(u >= 1.0F && v >= 1.0F && u < static_cast<float>(width - 2) && v < static_cast<float>(height - 2))) return {};
     const int x = static_cast<int>(u), y = static_cast<int>(v);
@@ -30,72 +30,65 @@ Read read_cubic(const ContrastView& view, float u, float v) {
     const float squares_y = wy[0] * wy[0] + wy[1] * wy[1] + wy[2] * wy[2] + wy[3] * wy[3];
     float value = 0;
     for (int k = 0; k < 4; ++k) {
-        const float* line = view.value.at(y + k - 1, x - 1);
+        const float* line = values.at(y + k - 1, x - 1);
         value += wy[k] * (wx[0] * line[0] + wx[1] * line[1] + wx[2] * line[2] + wx[3] * line[3]);
     }
-    const float variance = *view.variance.at(y + (fy >= 0.5F), x + (fx >= 0.5F));
+    const float variance = *variances.at(y + (fy >= 0.5F), x + (fx >= 0.5F));
     return {value, variance * squares_x * squares_y};
 }
 
-/// Rows of one view on the organising grid.
-class ViewRows {
-  public:
-    ViewRows(const ContrastView& view, int factor, int width)
-        : view_(view),
-          shading_map_(view.shading, factor, width),
-          trust_map_(view.trust, factor, width),
-          shading_(width),
-          trust_(width),
-          value_(width),
-          variance_(width) {}
-
-    /// Adds weight, weighted value, and the variance of that.
-    void add(int v, float* __restrict weights, float* __restrict total, float* __restrict noise) {
-        const auto width = static_cast<int>(shading_.size());
-        const float* value = view_.value.row(v);
-        const float* variance = view_.variance.row(v);
-        if (!view_.place.empty()) {
-            for (int u = 0; u < width; ++u) {
-                const float* place = view_.place.at(v, u);
-                const Read read = read_cubic(view_, place[0], place[1]);
-                value_[u] = read.value;
-                variance_[u] = read.variance;
-            }
-            value = value_.data();
-            variance = variance_.data();
-        }
-        shading_map_.row(v, shading_.data());
-        trust_map_.row(v, trust_.data());
-        for (int u = 0; u < width; ++u) {
-            const bool known = variance[u] > 0 && std::isfinite(value[u]) && shading_[u] > 0;
-            const float per = known ? 1 / shading_[u] : 0.0F;
-            const float weight = known ? 1 / (variance[u] * per * per) : 0.0F;
-            const float corrected = known ? (1 + value[u]) * per - 1 : 0.0F;
-            weights[u] += trust_[u] * weight;
-            total[u] += trust_[u] * weight * corrected;
-            noise[u] += trust_[u] * trust_[u] * weight;
-        }
-    }
-
-  private:
-    const ContrastView& view_;
-    BlockLerp shading_map_, trust_map_;
-    std::vector<float> shading_, trust_, value_, variance_;
-};
-
 }  // namespace
 
-void merge_contrasts(const std::vector<ContrastView>& views, const Image<const unsigned char>& valid, int factor,
+void compensated_image(const ContrastView& view, const Image<const float>& place, int height, int width, int threads,
+                       const Image<float>& image, const Image<float>& variance) {
+    parallel_for(height, threads, [&](std::size_t first, std::size_t last) {
+        BlockLerp levels(view.level, view.factor, width);
+        std::vector<float> row(width);
+        for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
+            if (place.empty()) levels.row(v, row.data());
+            for (int u = 0; u < width; ++u) {
+                Read read;
+                float level = row[u];
+                if (place.empty()) {
+                    read = {*view.value.at(v, u), *view.variance.at(v, u)};
+                } else {
+                    const float* at = place.at(v, u);
+                    read = read_cubic(view.value, view.variance, at[0], at[1]);
+                    level = read.value == read.value ? between_blocks(view.level, view.factor, at[0], at[1]) : kNaN;
+                }
+                *image.at(v, u) = (1 + read.value) * level;
+                *variance.at(v, u) = read.variance * level * level;
+            }
+        }
+    });
+}
+
+void merge_contrasts(const std::vector<SeenImage>& images, const Image<const unsigned char>& valid, int factor,
                      int threads, const Image<float>& value, const Image<float>& sigma) {
     const int width = value.width;
     parallel_for(value.height, threads, [&](std::size_t first, std::size_t last) {
-        std::vector<ViewRows> rows;
-        rows.reserve(views.size());
-        for (const auto& view : views) rows.emplace_back(view, factor, width);
-        std::vector<float> weights(width), total(width), noise(width);
+        std::vector<BlockLerp> expected_maps, trust_maps;
+        for (const auto& image : images) {
+            expected_maps.emplace_back(image.expected, factor, width);
+            trust_maps.emplace_back(image.trust, factor, width);
+        }
+        std::vector<float> expected(width), trust(width), weights(width), total(width), noise(width);
         for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
             for (auto* line : {&weights, &total, &noise}) std::fill(line->begin(), line->end(), 0.0F);
-            for (auto& view : rows) view.add(v, weights.data(), total.data(), noise.data());
+            for (std::size_t i = 0; i < images.size(); ++i) {
+                expected_maps[i].row(v, expected.data());
+                trust_maps[i].row(v, trust.data());
+                const float* grey = images[i].image.row(v);
+                const float* variance = images[i].variance.row(v);
+                for (int u = 0; u < width; ++u) {
+                    const bool known = variance[u] > 0 && std::isfinite(grey[u]) && expected[u] > 0;
+                    const float weight = known ? expected[u] * expected[u] / variance[u] : 0.0F;
+                    const float contrast = known ? grey[u] / expected[u] - 1 : 0.0F;
+                    weights[u] += trust[u] * weight;
+                    total[u] += trust[u] * weight * contrast;
+                    noise[u] += trust[u] * trust[u] * weight;
+                }
+            }
             const unsigned char* points = valid.row(v);
             for (int u = 0; u < width; ++u) {
                 const float per = points[u] != 0 && weights[u] > 0 ? 1 / weights[u] : kNaN;

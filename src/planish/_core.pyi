@@ -68,8 +68,11 @@ def remove_pattern(
     factor: int,
     threads: int,
 ) -> tuple[F32, F32]: ...
+def compensated_image(
+    value: F32, variance: F32, level: F32, factor: int, place: F32, threads: int
+) -> tuple[F32, F32]: ...
 def merge_contrasts(
-    views: Sequence[tuple[F32, F32, F32, F32, F32]], valid: U8, factor: int, threads: int
+    images: Sequence[tuple[F32, F32, F32, F32]], valid: U8, factor: int, threads: int
 ) -> tuple[F32, F32]: ...
 def find_consensus(
     points_a: F64,

@@ -61,7 +61,7 @@ def taps(place, stretch):
     return at, w / w.sum()
 
 
-def read_cubic(value, variance, place):
+def read_view(value, variance, place):
     out = np.full((2, *place.shape[:2]), np.nan)
     height, width = value.shape
     for v, u in np.ndindex(*place.shape[:2]):
@@ -75,16 +75,34 @@ def read_cubic(value, variance, place):
     return out
 
 
-def merge_contrasts(views, valid, factor):
+def at_places(blocks, factor, place):
+    """Linear interpolation between the centres of blocks at places (H, W, 2)."""
+    out = np.zeros(place.shape[:2])
+    axes = ((1, blocks.shape[0]), (0, blocks.shape[1]))
+    at = [np.clip((np.nan_to_num(place[..., i]) + 0.5) / factor - 0.5, 0, n - 1) for i, n in axes]
+    for row, column in np.ndindex(*blocks.shape):
+        out += blocks[row, column] * np.maximum(0, 1 - abs(at[0] - row)) * np.maximum(0, 1 - abs(at[1] - column))
+    return out
+
+
+def compensated_image(value, variance, level, factor, place):
+    if place.size:
+        grey = at_places(level, factor, place)
+        value, variance = read_view(value, variance, place)
+    else:
+        grey = between_blocks(level, factor, value.shape)
+    known = np.isfinite(value) | (place.size == 0)
+    return (1 + value) * grey, np.where(known, variance * grey**2, np.nan)
+
+
+def merge_contrasts(images, valid, factor):
     weights, total, noise = (np.zeros(valid.shape) for _ in range(3))
-    for value, variance, place, shading, trust in views:
-        if place.size:
-            value, variance = read_cubic(value, variance, place)
-        light, t = between_blocks(shading, factor, valid.shape), between_blocks(trust, factor, valid.shape)
-        known = np.isfinite(value) & (variance > 0)
-        w = np.where(known, light**2 / np.where(known, variance, 1), 0)
+    for grey, variance, expected, trust in images:
+        even, t = between_blocks(expected, factor, valid.shape), between_blocks(trust, factor, valid.shape)
+        known = np.isfinite(grey) & (variance > 0)
+        w = np.where(known, even**2 / np.where(known, variance, 1), 0)
         weights += t * w
-        total += t * w * np.where(known, (1 + value) / light - 1, 0)
+        total += t * w * np.where(known, grey / even - 1, 0)
         noise += t**2 * w
     with np.errstate(divide="ignore", invalid="ignore"):
         held = (valid > 0) & (weights > 0)

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from planish import _core
 from planish.measurement import Map, Measurement, NoiseModel, View
+from planish.registration.texture.camera_grid import surface_seen
 from planish.registration.texture.lowpass import Lowpass
 
 #: Grey values below so many standard deviations of their noise hold no texture.
@@ -63,37 +62,17 @@ class _Kind:
     variance: Map
 
 
-def view_of_surface(measurement: Measurement, name: str) -> View:
-    """Return what a camera saw of the measured surface; its images are NaN elsewhere.
+def camera_contrast(measurement: Measurement, name: str, lowpass: Lowpass, limit: float) -> CameraContrast:
+    """Return the contrast of a camera where it sees the measured surface, clipped at +-`limit`.
 
-    A background beside the part has another brightness: in the low-pass it would draw rims along every outline.
+    What lies beside it, lit or not, does not enter the low-pass.
     """
-    view = measurement.views[name]
-    seen = measurement.valid if name == measurement.organised_on else _seen_by_other(measurement, view)
+    view, seen = measurement.views[name], surface_seen(measurement, name, lowpass)
 
-    def cut(image: Map | None) -> Map | None:
-        return None if image is None else np.where(seen, image, np.float32(np.nan))
+    def held(image: Map | None) -> Map | None:
+        return None if image is None else np.where(seen, image, np.float32(np.nan)).astype(np.float32, copy=False)
 
-    return replace(view, white=cut(view.white), mean=cut(view.mean), modulation=cut(view.modulation))
-
-
-def _seen_by_other(measurement: Measurement, view: View) -> NDArray[np.bool_]:
-    """Pixels (H, W) of the camera that does not organise that correspond to points."""
-    image = view.mean if view.mean is not None else view.white
-    assert image is not None, "a view has a mean or a white image"
-    height, width = image.shape
-    hit = np.zeros((height, width), np.uint8)
-    if measurement.correspondence_px is not None:
-        place = measurement.correspondence_px[measurement.valid]
-        place = np.rint(place[np.isfinite(place).all(1)]).astype(np.intp)
-        place = place[((place >= 0) & (place < [width, height])).all(1)]
-        hit[place[:, 1], place[:, 0]] = 1
-    # Neighbouring points lie up to two pixels apart in the other camera.
-    return np.asarray(cv2.morphologyEx(hit, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8)) > 0)
-
-
-def camera_contrast(view: View, lowpass: Lowpass, limit: float) -> CameraContrast:
-    """Return the contrast of a view, clipped at +-`limit`."""
+    view = replace(view, mean=held(view.mean), white=held(view.white), modulation=held(view.modulation))
     kinds = _kinds(view, lowpass)
     names = list(kinds)
     covariance = _covariance(view, kinds)

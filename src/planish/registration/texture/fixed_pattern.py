@@ -19,7 +19,7 @@ import numpy as np
 from planish import _core
 from planish.measurement import Map, Measurement
 from planish.options import thread_count
-from planish.registration.texture.camera_contrast import camera_contrast, view_of_surface
+from planish.registration.texture.camera_contrast import camera_contrast
 from planish.registration.texture.camera_pattern import (
     BAND_CELLS_PX,
     BAND_NOISE,
@@ -121,7 +121,7 @@ def _add(run: _Run, measurement: Measurement, options: PhotometricOptions, threa
     lowpass = Lowpass.of(options.shading_mm / ground_sample_distance(measurement), threads)
     values: dict[str, Map] = {}
     for name in measurement.texture_views:
-        seen = camera_contrast(view_of_surface(measurement, name), lowpass, options.max_contrast)
+        seen = camera_contrast(measurement, name, lowpass, options.max_contrast)
         values[name], shape = seen.value, (seen.value.shape[0], seen.value.shape[1])
         bands = run.cameras.setdefault(name, (_Sums.of(shape), _Sums.of(shape)))
         counted = counted_blocks(measurement, name)

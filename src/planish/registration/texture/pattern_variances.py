@@ -20,14 +20,13 @@ _WIDE_BLOCKS, _NARROW_BLOCKS = 8.0, 1.5
 _CORRELATED_PX = 3.0
 #: Dust must exceed the chance of textures that happen to agree by so many standard deviations.
 _DUST_SIGMAS = 4.0
-#: From this share of still texture on, a place says nothing about the level of the pattern.
+#: From this share of still texture on, a place says nothing about the level of the pattern, nor about dust: windows
+#: mix what lies beside each other.
 _MAX_STILL = 0.5
-#: From this one on, it cannot be told from dust: beside still texture, windows mix both.
-_MAX_STILL_AT_DUST = 0.25
 #: Without this share of places that do, the level stays unknown: all captures are of one place.
 _MIN_TELLING = 0.2
-#: Largest share of the captures' variance that is taken for the pattern when their information is judged.
-_MAX_PATTERN_SHARE = 0.9
+#: Least share of a capture's variance that is held to be error of its estimate of the pattern.
+_MIN_ERRORS = 0.01
 
 
 @dataclass
@@ -41,7 +40,7 @@ class Moments:
         w = weight.astype(float)
         _accumulate(
             self.maps,
-            {"w": w * count, "ww": w**2 * count, "wcc": w * squares, "wwcc": w**2 * squares, "wn": w * noise},
+            {"w": w * count, "ww": w**2 * count, "wwcc": w**2 * squares, "wwn": w**2 * noise},
         )
 
     @property
@@ -150,8 +149,8 @@ def pattern_variances(
     def estimates(width: float) -> tuple[Array, Array, Array]:
         with np.errstate(divide="ignore", invalid="ignore"):
             covariance = _smooth(common, width) / _smooth(pairs, width)
-            variance = _smooth(m["wcc"], width) / _smooth(m["w"], width)
-            noise = _smooth(m["wn"], width) / _smooth(m["w"], width)
+            variance = _smooth(m["wwcc"], width) / _smooth(m["ww"], width)
+            noise = _smooth(m["wwn"], width) / _smooth(m["ww"], width)
         return (np.nan_to_num(x, nan=0.0, posinf=0.0, neginf=0.0) for x in (covariance, variance, noise))  # type: ignore[return-value]
 
     covariance, variance, noise = estimates(_WIDE_BLOCKS)
@@ -173,10 +172,13 @@ def pattern_variances(
         # Deviation of the covariance of independent captures: noise has as many cells as pixels, texture fewer.
         spread = (cell_px * variance**2 + (_CORRELATED_PX * texture) ** 2) / window
         chance = np.sqrt(2 * spread / (captures * (captures - 1)))
-        part = np.nan_to_num(m["ww"] / m["w"])
-    dust = (local - prior > _DUST_SIGMAS * chance) & (still_share < _MAX_STILL_AT_DUST)
+        weight_of_one = m["ww"] / m["w"]
+    dust = (local - prior > _DUST_SIGMAS * chance) & (still_share < _MAX_STILL)
     prior = np.where(dust, local, prior)
-    gain = 1 / (1 - np.minimum(prior * part, _MAX_PATTERN_SHARE))
+    # A capture's errors are its noise and its texture; its weight counted the pattern as one more.
+    errors = np.maximum(variance - prior, np.maximum(noise, _MIN_ERRORS * variance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gain = np.nan_to_num(1 / (errors * weight_of_one), nan=1.0, posinf=1.0)
     return prior.astype(np.float32), still.astype(np.float32), gain.astype(np.float32)
 
 

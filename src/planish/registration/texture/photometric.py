@@ -20,11 +20,17 @@ from planish import _core
 from planish.measurement import Map, Measurement
 from planish.options import Options, thread_count
 from planish.registration.surface import Surface, fit_surface
-from planish.registration.texture.camera_contrast import CameraContrast, camera_contrast, view_of_surface
+from planish.registration.texture.camera_contrast import CameraContrast, camera_contrast
+from planish.registration.texture.camera_grid import correspondence, from_camera_blocks
 from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.lowpass import Lowpass, fill_gaps
 from planish.registration.texture.shading import projector_shading
 from planish.registration.tiles import ground_sample_distance
+
+#: The long way over which normals are averaged, in multiples of the short one.
+_SMOOTHER = 4.0
+#: The surface is held to be smooth at most places: the median power is that of noise, whose local power varies.
+_NOISE_MARGIN = 3.0
 
 
 class PhotometricOptions(Options):
@@ -32,8 +38,8 @@ class PhotometricOptions(Options):
 
     #: Scale above which a change of brightness counts as shading [mm] (standard deviation of the low-pass).
     shading_mm: float = Field(default=2.5, gt=0)
-    #: Normals are averaged over this length for the shading, so that their noise does not become texture [mm].
-    normal_mm: float = Field(default=12.0, gt=0)
+    #: Normals are averaged over this length for the shading where the surface bends, over more elsewhere [mm].
+    normal_mm: float = Field(default=3.0, gt=0)
     #: Local contrast is clipped here: beyond it, highlights and holes rule.
     max_contrast: float = Field(default=0.5, gt=0)
     #: Excess of one camera's brightness over the other's at which its weight has fallen to 1 / e.
@@ -68,10 +74,9 @@ def local_contrast(
     relative = None
     if measurement.rig.projector is not None:
         surface = surface or fit_surface(measurement, threads=threads)
-        relative = _relative_shading(measurement, surface, lowpass, options.normal_mm)
+        relative = _relative_shading(measurement, surface, lowpass, options)
     seen = {
-        name: camera_contrast(view_of_surface(measurement, name), lowpass, options.max_contrast)
-        for name in measurement.texture_views
+        name: camera_contrast(measurement, name, lowpass, options.max_contrast) for name in measurement.texture_views
     }
     if fixed is not None:
         for name, view in seen.items():
@@ -88,49 +93,52 @@ def _merge(
     options: PhotometricOptions,
 ) -> tuple[Map, Map]:
     """Return value and sigma (H, W) of all cameras together on the organising grid."""
-    places = {name: None if name == measurement.organised_on else _places(measurement, name) for name in seen}
-    levels = [_on_organising_blocks(view.level, places[name], lowpass) for name, view in seen.items()]
+    levels = [from_camera_blocks(measurement, name, view.level, lowpass) for name, view in seen.items()]
     trust = _highlight_trust(levels, options.highlight_excess)
-    h, w = lowpass.shape(measurement.shape)
-    nowhere = np.empty((0, 0, 2), np.float32)
-    views = []
+    images = []
     for (name, view), counted in zip(seen.items(), trust, strict=True):
-        place = places[name]
-        shading = np.ones((h, w), np.float32)
+        own = name == measurement.organised_on
+        place = np.empty((0, 0, 2), np.float32) if own else correspondence(measurement, name)
+        level = fill_gaps(view.level, 0.0)
+        image, variance = _core.compensated_image(
+            view.value, view.variance, level, lowpass.factor, place, lowpass.threads
+        )
+        # Over the same pixels for all cameras and the light.
+        expected = lowpass(np.where(measurement.valid, image, np.float32(np.nan)))
         if relative is not None:
             # With I = albedo S, lowpass(I) S / lowpass(S) is S times the local mean of the albedo, weighted by S. Room
             # light does not follow S.
-            room = fill_gaps(_on_organising_blocks(view.room_share, place, lowpass), 0.0)
-            shading = relative + room * (1 - relative)
-        views.append((view.value, view.variance, nowhere if place is None else place, shading, counted))
-    value, sigma = _core.merge_contrasts(views, measurement.valid.view(np.uint8), lowpass.factor, lowpass.threads)
-    return value, sigma
+            room = fill_gaps(from_camera_blocks(measurement, name, view.room_share, lowpass), 0.0)
+            expected = expected * (relative + room * (1 - relative))
+        images.append((image, variance, expected, counted))
+    return _core.merge_contrasts(images, measurement.valid.view(np.uint8), lowpass.factor, lowpass.threads)
 
 
-def _places(measurement: Measurement, name: str) -> Map:
-    where = measurement.correspondence_px
-    assert where is not None, f"texture of camera {name} needs the correspondence"
-    return np.ascontiguousarray(where, np.float32)
+def _relative_shading(measurement: Measurement, surface: Surface, lowpass: Lowpass, options: PhotometricOptions) -> Map:
+    """Return the projector's light over its low-pass at blocks (h, w), 1 where it is unknown.
+
+    Noise of the normals would become texture: what they tell when averaged over a short way, beyond what they tell
+    over a long one, counts as far as its power around a place exceeds that of noise (Wiener filter).
+    """
+    fine, smooth = (
+        _over_lowpass(projector_shading(measurement, surface, lowpass, k * options.normal_mm), lowpass)
+        for k in (1.0, _SMOOTHER)
+    )
+    detail, known = np.nan_to_num(fine - smooth), np.isfinite(fine).astype(np.float32)
+    deviation = max(1.0, _SMOOTHER * options.normal_mm / (measurement.sample_distance_mm * lowpass.factor) / 2)
+    power, share = (cv2.GaussianBlur(m, (0, 0), deviation) for m in (detail**2 * known, known))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        power = power / share
+        noise = np.float32(np.median(power[known > 0])) if known.any() else np.float32(0)
+        kept = np.nan_to_num(np.clip(1 - _NOISE_MARGIN * noise / power, 0, 1))
+    return fill_gaps(np.where(known > 0, smooth + kept * detail, np.float32(np.nan)), 1.0)
 
 
-def _on_organising_blocks(blocks: Map, place: Map | None, lowpass: Lowpass) -> Map:
-    """Return blocks (h, w) of a camera at the centres of the organising camera's blocks; NaN where unknown."""
-    if place is None:
-        return blocks
-    centres = (lowpass.centres(place) + np.float32(0.5)) / np.float32(lowpass.factor) - np.float32(0.5)
-    u, v = (np.nan_to_num(np.ascontiguousarray(centres[..., i]), nan=-1e4) for i in (0, 1))
-    return cv2.remap(blocks, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
-
-
-def _relative_shading(measurement: Measurement, surface: Surface, lowpass: Lowpass, normal_mm: float) -> Map | None:
-    """Return the projector's light over its own low-pass at blocks (h, w); 1 where it is unknown."""
-    shading = projector_shading(measurement, surface, lowpass, normal_mm)
-    if shading is None:
-        return None
+def _over_lowpass(shading: Map, lowpass: Lowpass) -> Map:
     known = np.isfinite(shading)
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = shading / lowpass.ratio(np.where(known, shading, np.float32(0)), known.astype(np.float32))
-    return fill_gaps(np.where(known, ratio, np.float32(np.nan)), 1.0)
+    return np.where(known, ratio, np.float32(np.nan)).astype(np.float32)
 
 
 def _highlight_trust(levels: list[Map], excess: float) -> list[Map]:

@@ -14,17 +14,14 @@ from planish.registration.tiles import ground_sample_distance
 _MIN_COSINE = 0.05
 
 
-def projector_shading(
-    measurement: Measurement, surface: Surface, lowpass: Lowpass, normal_mm: float = 12.0
-) -> Map | None:
-    """Return the projector's irradiance (h, w) at the blocks of a low-pass, or None where there is no projector.
+def projector_shading(measurement: Measurement, surface: Surface, lowpass: Lowpass, normal_mm: float = 3.0) -> Map:
+    """Return the projector's irradiance (h, w) at the blocks of a low-pass.
 
     cos(incidence) / distance^2 for a point source (Lambert's law), up to a factor; NaN where there is no surface.
     Normals are averaged over `normal_mm` [mm].
     """
     projector = measurement.rig.projector
-    if projector is None:
-        return None
+    assert projector is not None, "shading needs a projector"
     points, normals = (lowpass.centres(maps) for maps in (surface.points_sensor, surface.normals_sensor))
     centre = projector.center_sensor.astype(np.float32)
     to_light = centre - points
