@@ -34,6 +34,7 @@ from planish.registration.texture.photometric import PhotometricOptions, local_c
 from planish.registration.texture.resample import TextureImage, texture_images
 from planish.registration.tiles import ground_sample_distance, tile_size_px
 from planish.registration.verdict.aligned import Side
+from planish.registration.verdict.geometry import line_of_sight
 from planish.registration.verdict.hypothesis import Hypothesis
 from planish.registration.verdict.judge import Verdict, VerdictOptions, judge_coarse, judge_refined
 
@@ -213,8 +214,10 @@ def _refined_result(
     covariance = noise_covariance(refined) if refined is not None else None
     directions = observability(refined, covariance) if refined is not None and covariance is not None else ()
     drift = first.drift_mm(refined.T_a_b) if refined is not None else 0.0
+    T, gate = first.T_a_b if refined is None else refined.T_a_b, options.verdict.verify.gate_mm
+    sight = line_of_sight(a.measurement, b.measurement, T, gate, verdict.without)
     unmoved_mm = options.verdict.still_px * ground_sample_distance(a.measurement) if verdict.unmoved else None
-    refuted = judge_refined(refined, directions, drift, options.verdict, unmoved_mm)
+    refuted = judge_refined(refined, directions, drift, sight, options.verdict, unmoved_mm)
     if refined is None or refuted is not None:
         assert refuted is not None
         return replace(result, status=refuted.status, reason=refuted.reason, observability=directions)

@@ -307,11 +307,13 @@ def judge_refined(
     refined: Refined | None,
     directions: tuple[Direction, ...],
     drift_mm: float,
+    sight: Sight,
     options: VerdictOptions,
     unmoved_mm: float | None = None,
 ) -> Judgement | None:
     """Return why the refinement refutes the consensus, or None where it confirms it.
 
+    `sight` is what the cameras say about the surfaces under the refined transform.
     `unmoved_mm` is given where all that agrees stands still in the image: by how much the part may have moved unseen.
     """
     if refined is None:
@@ -324,12 +326,11 @@ def judge_refined(
             "alone does not tell which (a plane slides unseen): move the part or the sensor by more than a few pixels",
         )
     e = refined.equations
-    conflict = e.conflicts / max(1, e.conflicts + e.points)
-    if conflict > options.max_conflict_share:
+    if sight.conflict > options.max_conflict_share:
         return Judgement(
             "refused",
-            f"geometry contradicts the texture: over {100 * conflict:.0f} % of the overlap the surfaces pierce or hide "
-            "one another",
+            f"geometry contradicts the texture: over {100 * sight.conflict:.0f} % of the overlap the surfaces hide one "
+            "another from the cameras",
         )
     if drift_mm > options.max_drift_mm:
         return Judgement(
