@@ -62,7 +62,7 @@ def prepared(m):
     """What the refinement needs of a measurement, without its keypoints."""
     surface, contrast = fit_surface(m), local_contrast(m)
     sides = {s: joint_side(m, surface, contrast, s) for s in sheets.OPTIONS.refine.smoothing_px}
-    return Prepared(m, surface, contrast, (), (), None, sides, sides)
+    return Prepared(m, surface, contrast, (), (), None, sides, sides, sheets.OPTIONS.dense)
 
 
 @pytest.mark.parametrize("bend", [0.0, sheets.BENT])
