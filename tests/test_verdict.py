@@ -26,7 +26,7 @@ from planish.registration.verdict.false_alarms import (
     log10_false_alarms,
     log10_of_product,
 )
-from planish.registration.verdict.geometry import line_of_sight
+from planish.registration.verdict.geometry import Sight, line_of_sight
 from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined
 from planish.registration.verdict.still import geometry_stands_still, same_sensor, standing_still
 from planish.registration.verdict.verify import Windows
@@ -34,6 +34,8 @@ from planish.registration.verdict.verify import Windows
 #: Accuracy of the incomplete beta function, as a logarithm.
 LOG_TOLERANCE = 1e-6
 OPTIONS = VerdictOptions()
+#: Surfaces that hide nothing.
+CLEAR = Sight(meet=1000, hidden=0)
 
 
 def exact(places, all_places, chance, pairs):
@@ -258,17 +260,17 @@ def refined():
 
 
 def test_a_good_refinement_is_confirmed(refined):
-    assert judge_refined(*refined, 0.2, OPTIONS) is None
+    assert judge_refined(*refined, 0.2, CLEAR, OPTIONS) is None
 
 
 def test_surfaces_that_do_not_overlap_are_refused():
-    judgement = judge_refined(None, (), 0.0, OPTIONS)
+    judgement = judge_refined(None, (), 0.0, CLEAR, OPTIONS)
     assert judgement.status == "refused"
     assert "do not overlap" in judgement.reason
 
 
 def test_a_refinement_that_leaves_the_consensus_is_refused(refined):
-    judgement = judge_refined(*refined, 2.0, OPTIONS)
+    judgement = judge_refined(*refined, 2.0, CLEAR, OPTIONS)
     assert judgement.status == "refused"
     assert "left the consensus by 2.00 mm" in judgement.reason
 
@@ -276,7 +278,7 @@ def test_a_refinement_that_leaves_the_consensus_is_refused(refined):
 def test_a_direction_that_nothing_holds_is_refused(refined):
     found, directions = refined
     loose = Direction(directions[0].direction, 100.0, 7.5, 0.1, False)
-    judgement = judge_refined(found, (*directions[:5], loose), 0.1, OPTIONS)
+    judgement = judge_refined(found, (*directions[:5], loose), 0.1, CLEAR, OPTIONS)
     assert judgement.status == "refused"
     assert "1 direction(s) held by neither" in judgement.reason
     assert "uncertain by" in judgement.reason
@@ -289,15 +291,13 @@ def test_textures_that_do_not_correlate_are_refused(refined):
     a, b = sheets.pair()
     view = b.measurement.views["A"]
     other = replace(b.measurement, views={"A": replace(view, mean=np.ascontiguousarray(view.mean[:, ::-1]))})
-    judgement = judge_refined(refine_pair(a, prepare(other, sheets.PITCH_MM), sheets.T_TRUE), directions, 0.1, OPTIONS)
+    found = refine_pair(a, prepare(other, sheets.PITCH_MM), sheets.T_TRUE)
+    judgement = judge_refined(found, directions, 0.1, CLEAR, OPTIONS)
     assert judgement.status == "refused"
     assert "do not correlate" in judgement.reason
 
 
-def test_surfaces_that_pierce_each_other_are_refused(refined):
-    found, directions = refined
-    e = found.equations
-    piercing = replace(found, equations=replace(e, conflicts=e.points))
-    judgement = judge_refined(piercing, directions, 0.1, OPTIONS)
+def test_surfaces_that_hide_one_another_are_refused(refined):
+    judgement = judge_refined(*refined, 0.1, Sight(meet=500, hidden=500), OPTIONS)
     assert judgement.status == "refused"
-    assert "50 % of the overlap the surfaces pierce" in judgement.reason
+    assert "50 % of the overlap the surfaces hide one another" in judgement.reason
