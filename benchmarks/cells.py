@@ -9,6 +9,7 @@ import resource
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -36,8 +37,10 @@ def run_cells(
     """Call function(*arguments) for each cell by name and save its rows; a cell that is already there is kept."""
     to_do = {name: values for name, values in cells.items() if again or not _path(folder, name).is_file()}
     os.environ["PLANISH_THREADS"] = "1"
-    with ProcessPoolExecutor(workers, initializer=cv2.setNumThreads, initargs=(1,)) as pool:
-        futures = [pool.submit(_run_cell, folder, name, function, values) for name, values in to_do.items()]
+    # Fresh processes: a copy of one that has run threads may wait for their locks for ever.
+    fresh = get_context("spawn")
+    with ProcessPoolExecutor(workers, fresh, cv2.setNumThreads, (1,)) as pool:
+        futures = [pool.submit(_run_cell, _path(folder, name), function, values) for name, values in to_do.items()]
         try:
             for done, future in enumerate(as_completed(futures), 1):
                 print(f"{done} of {len(futures)}: {future.result()}", flush=True)
@@ -46,20 +49,19 @@ def run_cells(
             raise
 
 
-def _run_cell(folder: str, name: str, function: Callable[..., Rows], values: tuple[Any, ...]) -> str:
+def _run_cell(path: Path, function: Callable[..., Rows], values: tuple[Any, ...]) -> str:
     started = time.process_time()
     rows = function(*values)
     seconds = round(time.process_time() - started, 1)
     # ru_maxrss counts kilobytes on Linux.
     memory = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-    path = _path(folder, name)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(f".{os.getpid()}.part")
     head = {"machine": describe_machine(), "cpu_s": seconds, "peak_mib": memory}
     lines = ",\n  ".join(json.dumps(row, allow_nan=False) for row in rows)
     temporary.write_text(json.dumps(head)[:-1] + f',\n "rows": [\n  {lines}\n ]}}\n', encoding="utf-8")
     os.replace(temporary, path)
-    return f"{name}, {len(rows)} rows, {seconds} s of CPU, {memory} MiB"
+    return f"{path.stem}, {len(rows)} rows, {seconds} s of CPU, {memory} MiB"
 
 
 def read_cells(folder: str) -> Iterator[dict[str, Any]]:
