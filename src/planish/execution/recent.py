@@ -6,7 +6,6 @@ import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import fields, is_dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -70,7 +69,7 @@ class Recent:
 
 
 def size_bytes(value: Any) -> int:
-    """Return the memory of all arrays that dataclasses, mappings and sequences hold; shared ones count once."""
+    """Return the memory of all arrays that objects, mappings and sequences hold; shared ones count once."""
     seen: dict[int, int] = {}
     _collect(value, seen)
     return sum(seen.values())
@@ -88,10 +87,9 @@ def _collect(value: Any, seen: dict[int, int]) -> None:
     elif isinstance(value, tuple | list):
         for item in value:
             _collect(item, seen)
-    elif is_dataclass(value):
-        names = {field.name for field in fields(value)} | set(getattr(value, "__dict__", {}))
-        for name in names:
-            _collect(getattr(value, name, None), seen)
+    elif hasattr(value, "__dict__"):
+        # What properties have computed stands there, too.
+        _collect(vars(value), seen)
 
 
 def main_process_bytes() -> int:

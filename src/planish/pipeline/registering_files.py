@@ -15,7 +15,6 @@ from typing import TypeVar
 import numpy as np
 
 from planish.errors import InputError
-from planish.evaluation import prepared as evaluation
 from planish.execution.executor import Executor, Threads
 from planish.execution.store import StageStore
 from planish.pipeline.frozen import Batch, Frozen, FrozenMeasurement
@@ -150,10 +149,6 @@ class FileRun:
     views: Mapping[str, View]
     pairs: Mapping[tuple[str, str], PairStage]
     reused: Mapping[str, tuple[int, int]]
-
-    def prepared(self, name: str, threads: int = 1) -> evaluation.Prepared:
-        """Return a measurement with surface and texture, read and computed now."""
-        return self.views[name].evaluated(threads)
 
     def pair(self, a: str, b: str) -> PairResult:
         """Return a pair of the registration with the pixels of its matches."""

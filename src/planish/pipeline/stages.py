@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,8 @@ from planish.evaluation.overlap import evaluate_overlap
 from planish.execution.recent import RECENT
 from planish.execution.store import StageStore, content_key
 from planish.geometry import Array
-from planish.measurement import Measurement
+from planish.measurement import Map, Measurement
+from planish.options import thread_count
 from planish.pipeline.options import RegisterOptions
 from planish.registration.keypoints.detect import detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
@@ -32,8 +34,10 @@ from planish.registration.pair import (
     register_pair,
 )
 from planish.registration.result import OverlapError, PairResult
+from planish.registration.surface import fit_surface
 from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.fixed_pattern import PatternSums, add_sums, sensor_key, sum_captures
+from planish.registration.texture.photometric import local_contrast
 from planish.registration.tiles import ground_sample_distance
 
 #: Names of the stages: folders of the store.
@@ -168,11 +172,28 @@ class View:
         RECENT.forget(("textured", self.key))
         return prepared
 
-    def evaluated(self, threads: int) -> evaluation.Prepared:
-        """Return what evaluation and pictures need, kept for a while."""
-        item: Prepared | Textured | None = RECENT.peek(("prepared", self.key))
-        item = item or self.textured(threads)
-        return evaluation.Prepared(item.measurement, item.surface, item.contrast, threads)
+    def surfaced(self, threads: int | None = None) -> evaluation.Prepared:
+        """Return what evaluation and pictures need, kept for a while; its contrast is computed when it is asked for."""
+        for kind in ("prepared", "textured"):
+            item: Prepared | Textured | None = RECENT.peek((kind, self.key))
+            if item is not None:
+                return evaluation.Prepared(item.measurement, item.surface, item.contrast, threads)
+        return RECENT.get(("surfaced", self.key), lambda: Surfaced(self, load(self.source), threads))
+
+
+class Surfaced(evaluation.Prepared):
+    """A measurement of a run, whose surface and contrast are those of the run's options and pattern."""
+
+    def __init__(self, view: View, measurement: Measurement, threads: int | None) -> None:
+        super().__init__(measurement, fit_surface(measurement, view.options.surface, threads), threads=threads)
+        self._view = view
+
+    @cached_property
+    def contrast(self) -> tuple[Map, Map]:
+        """Local contrast of the texture and its standard deviation, each (H, W) float32; NaN where unknown."""
+        pattern, count = self._view.pattern, thread_count(self._threads)
+        fixed = None if pattern is None else pattern.pattern(count)
+        return local_contrast(self.measurement, self._view.options.photometric, self.surface, fixed, count)
 
 
 def load(source: Source) -> Measurement:
@@ -243,7 +264,7 @@ class PairStage:
 
     def _evaluate(self, pair: PairResult, threads: int) -> Overlap:
         assert pair.T_a_b is not None
-        found = evaluate_overlap(self.a.evaluated(threads), self.b.evaluated(threads), pair.T_a_b, threads=threads)
+        found = evaluate_overlap(self.a.surfaced(threads), self.b.surfaced(threads), pair.T_a_b, threads=threads)
         return Overlap(found.overlap, found.error)
 
 
