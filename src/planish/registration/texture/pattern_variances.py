@@ -110,8 +110,9 @@ class StillTexture:
         chance = 2 * _spread_of_products(self.own, self.other)
         with np.errstate(divide="ignore", invalid="ignore"):
             within = np.maximum(product / count, 0) + chance / pairs
-            # What chance explains is shrunk to nothing (positive part of James and Stein 1961): else dust would stay.
-            shared = between / pairs * np.maximum(0, 1 - (chance / between) ** 2)
+            # What chance explains is no still texture, or dust beside it would stay.
+            certain = np.clip(2 * between / chance - 1, 0, 1)
+            shared = certain * between / pairs
             found = np.nan_to_num(shared / within, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 1)
         out = np.zeros(shape)
         if own:
