@@ -52,8 +52,8 @@ class Lowpass:
     def ratio(self, total: Map, weight: Map) -> Map:
         """Return the low-pass of `total` over that of `weight` (h, w); NaN where there is too little weight.
 
-        A plane is fitted around each block (local linear regression: Fan and Gijbels 1996, section 3.2). At a rim, all that is
-        known lies to one side: a mean alone would miss the slope of the light, and show every rim as a dark or bright line.
+        A plane is fitted around each block (local linear regression: Fan and Gijbels 1996, section 3.2). At a rim, all
+        that is known lies to one side: a mean would miss the slope of the light, and show the rim as a line.
         """
         density, x, y, xx, xy, yy = self._moments(weight, _SECOND)
         value, value_x, value_y = self._moments(total, _FIRST)
@@ -73,7 +73,7 @@ class Lowpass:
         return self.sigma_px / self.factor
 
     def _moments(self, blocks: Map, powers: tuple[tuple[int, int], ...]) -> list[Map]:
-        """Return the sums (h, w) of blocks times x^i y^j around each block, weighted by the Gaussian, 0 beyond the image."""
+        """Return the Gaussian-weighted sums (h, w) of blocks times x^i y^j around each block; 0 beyond the image."""
         reach = round(_REACH_SIGMAS * self._sigma_blocks)
         at = np.arange(-reach, reach + 1, dtype=np.float32)
         bell = np.exp(-0.5 * (at / np.float32(self._sigma_blocks)) ** 2)

@@ -48,11 +48,11 @@ def log10_by_matches(matches: Matches, candidate: Candidate, coarse: CoarseResul
     places count that are so far apart that their matches have looked at different texture: one piece of texture that
     resembles another by chance carries all the matches on it. A place agrees if one of its matches does.
 
-    Of these, the greater of two counts. One is among all places (`chance_of_agreement`). The other grants chance that kind finds
-    kind: rims match rims, lines match lines, because they look alike, so that a transform which lays one on the other
-    has many matches that nearly agree. Only those within a wide reach are counted then, and the chance that such a
-    match agrees exactly is taken from how the places of its neighbourhood lie: along a line it is far greater than in
-    an area.
+    Of these, the greater of two counts. One is among all places (`chance_of_agreement`). The other grants chance that
+    kind finds kind: rims match rims, lines match lines, because they look alike, so that a transform which lays one on
+    the other has many matches that nearly agree. Only those within a wide reach are counted then, and the chance that
+    such a match agrees exactly is taken from how the places of its neighbourhood lie: along a line it is far greater
+    than in an area.
     """
     search, members, T_a_b = coarse.search, candidate.members, candidate.T_a_b
     if search.chance is not None:
