@@ -13,6 +13,7 @@ from planish.geometry import Array
 from planish.measurement import Finding, Map, NoiseModel
 from planish.sensing.capture.images import GreyImage
 from planish.sensing.capture.sequence import Layout, PeriodSteps
+from planish.sensing.checks.light import Band, amplitude_of, equal_light, to_adapt
 from planish.sensing.checks.shift import BLOCK_PX, NOT_OBSERVABLE, BlockSums, Shift, block_sums, solve_shift
 from planish.sensing.checks.still import Still, comparable, mean_of, stills, to_compare
 
@@ -94,19 +95,33 @@ def compare(
     images: Sequence[GreyImage], first: Still, last: Still, noise: NoiseModel, saturation: float, threads: int
 ) -> Movement:
     """Return the movement of the last group of images against the first."""
-    shares = 1 / len(first.images), 1 / len(last.images)
-    sums, tops = [], []
-    for rows in bands(images[0].shape, SAMPLED_PX, WINDOW_BLOCKS):
-        means = mean_of(images, first.images, rows), mean_of(images, last.images, rows)
-        limit = _contrast_limit(means[0], noise)
-        usable = comparable(images, first, last, means, rows, limit, saturation)
-        sums.append(block_sums(*means, usable, noise, shares, threads))
-        tops.append(rows.start)
+    rows = bands(images[0].shape, SAMPLED_PX, WINDOW_BLOCKS)
+    sums = _sums(images, first, last, rows, noise, saturation, threads)
+    tops = [band.start for band in rows]
     fine = _under_other_light(locate(sums, tops), first, last)
     if first.lit_only or last.lit_only:
         return fine
     coarse = _compare_coarse(images, first, last, noise, saturation, threads)
     return coarse if coarse.worst.length_px > COARSE_FROM_PX else fine
+
+
+def _sums(
+    images: Sequence[GreyImage], first: Still, last: Still, parts: Sequence[slice], noise: NoiseModel,
+    saturation: float, threads: int,
+) -> list[BlockSums]:  # fmt: skip
+    """Return the sums of two groups under the same light over some bands of rows."""
+    adapted, seen = to_adapt(first, last), []
+    for rows in parts:
+        means = mean_of(images, first.images, rows), mean_of(images, last.images, rows)
+        usable = comparable(images, first, last, means, rows, _contrast_limit(means[0], noise), saturation)
+        amplitude = None
+        if adapted is not None:
+            amplitude, known = amplitude_of(images, adapted, rows)
+            usable &= known
+        seen.append(Band(*means, amplitude, usable))
+    light = equal_light(seen, first, last)
+    shares = light.share(first), light.share(last)
+    return [block_sums(*light.means(band, first), band.usable, noise, shares, threads) for band in seen]
 
 
 def _under_other_light(found: Movement, first: Still, last: Still) -> Movement:
@@ -261,15 +276,12 @@ def _compare_coarse(
     images: Sequence[GreyImage], first: Still, last: Still, noise: NoiseModel, saturation: float, threads: int
 ) -> Movement:
     small = [_shrunk(images[i]) for i in first.images + last.images]
-    rows = slice(0, small[0].shape[0])
-    there = tuple(range(len(first.images))), tuple(range(len(first.images), len(small)))
-    groups = Still(there[0], first.name), Still(there[1], last.name)
-    means = mean_of(small, there[0], rows), mean_of(small, there[1], rows)
+    places = {index: k for k, index in enumerate(first.images + last.images)}
+    groups = first.renumbered(places), last.renumbered(places)
     # Averaged pixels have less noise; the rounding of their mean is as good as none.
     quiet = NoiseModel(noise.offset / COARSE**2, noise.slope / COARSE**2)
-    usable = comparable(small, *groups, means, rows, _contrast_limit(means[0], noise), saturation)
-    sums = block_sums(*means, usable, quiet, (1 / len(there[0]), 1 / len(there[1])), threads)
-    return locate([sums], [0], COARSE)
+    sums = _sums(small, *groups, [slice(0, small[0].shape[0])], quiet, saturation, threads)
+    return locate(sums, [0], COARSE)
 
 
 def _shrunk(image: GreyImage) -> GreyImage:

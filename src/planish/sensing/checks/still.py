@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planish.measurement import Map
 from planish.sensing.capture.images import GreyImage
-from planish.sensing.capture.sequence import AxisCode, Layout
+from planish.sensing.capture.sequence import AxisCode, Layout, PeriodSteps
 
 #: Groups are joined with their neighbours in time until they hold so many images: less noise.
 JOINED_IMAGES = 4
@@ -21,6 +21,37 @@ LONGER = 1.5
 LIT_LEVEL = 0.6
 #: Pixels beside the border of a lit cell, where lens and projector blur it.
 BORDER_PX = 2
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Images whose patterns have the amplitude hypot(cosine . I, sine . I).
+
+    Parameters
+    ----------
+    images : tuple of int
+        Indices in the sequence.
+    cosine, sine : tuple of float
+        A weight per image.
+    in_cells : bool
+        Whether the patterns are lit and unlit cells: a Gray bit and its inverse.
+    """
+
+    images: tuple[int, ...]
+    cosine: tuple[float, ...]
+    sine: tuple[float, ...]
+    in_cells: bool = False
+
+    @classmethod
+    def of_fringes(cls, steps: PeriodSteps) -> Swing:
+        """Return that of the steps of one period."""
+        scale = 2 / len(steps.images)
+        return cls(steps.images, tuple(scale * np.cos(steps.angles)), tuple(scale * np.sin(steps.angles)))
+
+    @property
+    def share(self) -> float:
+        """Variance of the amplitude in units of that of an image: the mean over all phases."""
+        return float(np.square(self.cosine).sum() + np.square(self.sine).sum()) / (1 if self.in_cells else 2)
 
 
 @dataclass(frozen=True)
@@ -37,17 +68,25 @@ class Still:
         True where only the lit cells of a Gray bit can be compared.
     light : float
         Share of the projector's light in their mean.
+    swings : tuple of Swing
+        The patterns among them.
     """
 
     images: tuple[int, ...]
     name: str
     lit_only: bool = False
     light: float = 0.5
+    swings: tuple[Swing, ...] = ()
 
     @property
     def time(self) -> float:
         """Mean place in the sequence."""
         return float(np.mean(self.images))
+
+    def renumbered(self, places: Mapping[int, int]) -> Still:
+        """Return the group with other indices: image k is at places[k]."""
+        swings = tuple(replace(swing, images=tuple(places[i] for i in swing.images)) for swing in self.swings)
+        return replace(self, images=tuple(places[i] for i in self.images), swings=swings)
 
 
 def stills(layouts: Sequence[Layout]) -> list[Still]:
@@ -55,7 +94,10 @@ def stills(layouts: Sequence[Layout]) -> list[Still]:
     found: list[Still] = []
     for layout in layouts:
         for code in layout.codes:
-            found += [Still(p.images, f"the fringes of {p.period_px:g} px") for p in code.periods]
+            found += [
+                Still(p.images, f"the fringes of {p.period_px:g} px", swings=(Swing.of_fringes(p),))
+                for p in code.periods
+            ]
             found += _gray_stills(code)
         found += [Still((i,), "white", light=1.0) for i in layout.white]
     return sorted(found, key=lambda still: still.time)
@@ -68,7 +110,8 @@ def _gray_stills(code: AxisCode) -> list[Still]:
     found = []
     for bit, index, inverse in zip(bits, code.gray.images, code.gray.inverse, strict=True):
         if inverse >= 0:
-            found.append(Still((index, inverse), f"Gray bit {bit} of {code.axis}"))
+            swing = Swing((index, inverse), (0.5, -0.5), (0.0, 0.0), in_cells=True)
+            found.append(Still((index, inverse), f"Gray bit {bit} of {code.axis}", swings=(swing,)))
         else:
             found.append(Still((index,), f"the lit cells of Gray bit {bit}", True, 1.0))
     return found
@@ -106,7 +149,8 @@ def _joined(groups: Sequence[Still], direction: int) -> Still:
         parts = (joined, group)[::direction]
         images = parts[0].images + parts[1].images
         light = sum(part.light * len(part.images) for part in parts) / len(images)
-        joined = Still(images, _span(parts[0].name, parts[1].name), light=light)
+        name, swings = _span(parts[0].name, parts[1].name), parts[0].swings + parts[1].swings
+        joined = Still(images, name, light=light, swings=swings)
     return joined
 
 
