@@ -2,8 +2,8 @@
 
 Under the share w of the projector's light a camera sees R + w P: R is the room's light on the part, P the projector's.
 Where lamps shade the part otherwise than the projector does, images under different shares differ by no common factor,
-and steep shading looks like a movement. But the fringes of a group show P by themselves, as their amplitude a P, so
-that gain * mean + swing * amplitude is the group under any other share, and under a projector, a lamp or a camera gain
+and steep shading looks like a movement. But a group that shows P by itself, as white less black or as the amplitude of
+its fringes, gives gain * mean + swing * P: itself under any other share, and under a projector, a lamp or a camera gain
 that has changed since. Both factors hold for the whole image: they cannot imitate a movement.
 """
 
@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.geometry import Array
 from planish.measurement import Map
-from planish.sensing.capture.images import GreyImage
 from planish.sensing.checks.shift import BLOCK_PX
-from planish.sensing.checks.still import BORDER_PX, Still
+from planish.sensing.checks.still import Still
 
 #: A block tells the light where this share of its pixels counts.
 BLOCK_SHARE = 0.5
@@ -33,21 +33,21 @@ class Band:
     ----------
     first, last : ndarray (h, W) float32
         Mean grey values.
-    amplitude : ndarray (h, W) float32 or None
-        Of the patterns of the group that is brought to the light of the other.
+    light : ndarray (h, W) float32 or None
+        The projector's light, as the group shows it that is brought to the light of the other.
     usable : ndarray (h, W) uint8
         1 where both groups can be compared, else 0.
     """
 
     first: Map
     last: Map
-    amplitude: Map | None
+    light: Map | None
     usable: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class EqualLight:
-    """How the group `of` is brought to the light of the other one: gain * mean + swing * amplitude."""
+    """How the group `of` comes under the light of the other one: gain * mean + swing * projector's light."""
 
     of: Still | None = None
     gain: float = 1.0
@@ -55,44 +55,39 @@ class EqualLight:
 
     def means(self, band: Band, first: Still) -> tuple[Map, Map]:
         """Return the means (h, W) of first and last under the same light."""
-        if self.of is None or band.amplitude is None:
+        if self.of is None or band.light is None:
             return band.first, band.last
         own = band.first if self.of is first else band.last
-        lit = np.float32(self.gain) * own + np.float32(self.swing) * band.amplitude
+        lit = np.float32(self.gain) * own + np.float32(self.swing) * band.light
         return (lit, band.last) if self.of is first else (band.first, lit)
 
     def share(self, still: Still) -> float:
         """Return the variance of a group's mean under that light, in units of that of a single image."""
-        count = len(still.images)
         if self.of is not still:
-            return 1 / count
-        parts = sum((len(swing.images) / count) ** 2 * swing.share for swing in still.swings)
-        return self.gain**2 / count + self.swing**2 * parts
+            return 1 / len(still.images)
+        swings = still.exact_swings or still.swings
+        weights = dict.fromkeys(still.needed, 0.0)
+        for index in still.images:
+            weights[index] += self.gain / len(still.images)
+        patterns = 0.0
+        for swing in swings:
+            scale = self.swing / len(swings)
+            if swing.pattern == "none":
+                for index, weight in zip(swing.images, swing.cosine, strict=True):
+                    weights[index] += scale * weight
+            else:
+                # With the phase, or from cell to cell, the weights change their sign: no correlation with the mean.
+                patterns += scale**2 * swing.share
+        return sum(weight**2 for weight in weights.values()) + patterns
 
 
 def to_adapt(first: Still, last: Still) -> Still | None:
-    """Return which of two groups is brought to the light of the other: the darker one that shows patterns."""
-    return min((still for still in (first, last) if still.swings), key=lambda still: still.light, default=None)
+    """Return which of two groups is brought to the light of the other: that which shows the projector's light best.
 
-
-def amplitude_of(images: Sequence[GreyImage], still: Still, rows: slice) -> tuple[Map, NDArray[np.uint8]]:
-    """Return the amplitude (h, W) of the patterns of a group, and where (h, W) it is known, 1 or 0.
-
-    It is not at the borders of Gray cells, which the lens blurs.
+    Of groups that show it equally well the darker one: light is better added than taken off.
     """
-    shape = images[0][rows].shape
-    total, known = np.zeros(shape, np.float32), np.ones(shape, np.uint8)
-    for swing in still.swings:
-        cosine, sine = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
-        for index, c, s in zip(swing.images, swing.cosine, swing.sine, strict=True):
-            grey = images[index][rows].astype(np.float32)
-            cosine += np.float32(c) * grey
-            sine += np.float32(s) * grey
-        total += np.float32(len(swing.images) / len(still.images)) * cv2.magnitude(cosine, sine)
-        if swing.in_cells:
-            lit, kernel = (cosine > 0).view(np.uint8), np.ones((2 * BORDER_PX + 1, 2 * BORDER_PX + 1), np.uint8)
-            known &= cv2.erode(lit, kernel) | (1 - cv2.dilate(lit, kernel))
-    return total, known
+    groups = [still for still in (first, last) if still.swings]
+    return min(groups, key=lambda still: (not still.exact_swings, still.light), default=None)
 
 
 def equal_light(bands: Sequence[Band], first: Still, last: Still) -> EqualLight:
@@ -105,31 +100,24 @@ def equal_light(bands: Sequence[Band], first: Still, last: Still) -> EqualLight:
     the shortest of all solutions is as good as any.
     """
     of = to_adapt(first, last)
-    if of is None:
+    means = np.concatenate([_block_means(band) for band in bands])
+    if of is None or not len(means):
         return EqualLight()
-    rows = [row for band in bands for row in _block_means(band)]
-    if not rows:
-        return EqualLight()
-    count, means = np.array([row[0] for row in rows]), np.array([row[1:] for row in rows])
-    own, other = (means[:, 0], means[:, 1]) if of is first else (means[:, 1], means[:, 0])
-    weight = np.sqrt(count) / np.maximum(other, 1e-3)
-    amplitude = means[:, 2]
-    left = np.column_stack([own, amplitude]) * weight[:, None]
-    change = np.linalg.lstsq(left, (other - own) * weight, rcond=1e-6)[0]
+    own, other = (means[:, 1], means[:, 2]) if of is first else (means[:, 2], means[:, 1])
+    weight = np.sqrt(means[:, 0]) / np.maximum(other, 1e-3)
+    columns = np.column_stack([own, means[:, 3]]) * weight[:, None]
+    change = np.linalg.lstsq(columns, (other - own) * weight, rcond=1e-6)[0]
     return EqualLight(of, 1 + float(change[0]), float(change[1]))
 
 
-def _block_means(band: Band) -> list[tuple[float, float, float, float]]:
-    """Return the number of usable pixels of blocks, and their means of first, last and amplitude."""
-    assert band.amplitude is not None
+def _block_means(band: Band) -> Array:
+    """Return (n, 4): the usable pixels of blocks, and the means over them of first, last and the projector's light."""
     height, width = (max(n // BLOCK_PX, 1) for n in band.first.shape)
-    count = _block_sums(band.usable.astype(np.float32), height, width)
-    tells = count > BLOCK_SHARE * BLOCK_PX**2
-    sums = [_block_sums(band.usable * image, height, width) for image in (band.first, band.last, band.amplitude)]
-    return [
-        (float(n), float(a / n), float(b / n), float(c / n))
-        for n, a, b, c in zip(count[tells], *(image[tells] for image in sums), strict=True)
-    ]
+    maps = (band.first, band.last, np.zeros_like(band.first) if band.light is None else band.light)
+    sums = [_block_sums(band.usable * image, height, width) for image in (np.ones_like(band.first), *maps)]
+    tells = sums[0] > BLOCK_SHARE * BLOCK_PX**2
+    count = sums[0][tells].astype(float)
+    return np.column_stack([count, *(total[tells] / count for total in sums[1:])])
 
 
 def _block_sums(image: Map, height: int, width: int) -> Map:

@@ -13,9 +13,9 @@ from planish.geometry import Array
 from planish.measurement import Finding, Map, NoiseModel
 from planish.sensing.capture.images import GreyImage
 from planish.sensing.capture.sequence import Layout, PeriodSteps
-from planish.sensing.checks.light import Band, amplitude_of, equal_light, to_adapt
-from planish.sensing.checks.shift import BLOCK_PX, NOT_OBSERVABLE, BlockSums, Shift, block_sums, solve_shift
-from planish.sensing.checks.still import Still, comparable, mean_of, stills, to_compare
+from planish.sensing.checks.light import Band, EqualLight, equal_light, to_adapt
+from planish.sensing.checks.shift import BLOCK_PX, FLOOR_GAIN, NOT_OBSERVABLE, BlockSums, Shift, block_sums, solve_shift
+from planish.sensing.checks.still import Still, comparable, mean_of, projector_light, stills, to_compare
 
 #: A capture with more movement [px] is refused: points and texture would be off by more than their own noise.
 MAX_MOVEMENT_PX = 0.2
@@ -23,8 +23,9 @@ MAX_MOVEMENT_PX = 0.2
 MAX_SIGMA_PX = 0.1
 #: ... where it exceeds that by so many standard deviations.
 REFUSE_SIGMAS = 3.0
-#: Highlights and a response that is not linear let texture look shifted where the light differs, by so much per
-#: logarithm of its ratio (two cameras on blank steel, fringes against white: 0.14 and 0.03 px).
+#: Where no black image shows the room's light, highlights and reflections let texture look shifted where the light
+#: differs, by so much per logarithm of its ratio (two cameras on blank steel, fringes against white: 0.07 px, with the
+#: black image 0.006 px).
 LIGHT_SIGMA_PX = 0.08
 #: A part of the image moves where its shift differs from nothing by so many standard deviations.
 LOCAL_SIGMAS = 5.0
@@ -109,22 +110,37 @@ def _sums(
     images: Sequence[GreyImage], first: Still, last: Still, parts: Sequence[slice], noise: NoiseModel,
     saturation: float, threads: int,
 ) -> list[BlockSums]:  # fmt: skip
-    """Return the sums of two groups under the same light over some bands of rows."""
+    """Return the sums of two groups under the same light over some bands of rows.
+
+    What fringes show of the projector's light is less of it where they are blurred or light comes by several ways: it
+    is made use of where it explains more than a common factor does.
+    """
     adapted, seen = to_adapt(first, last), []
     for rows in parts:
         means = mean_of(images, first.images, rows), mean_of(images, last.images, rows)
         usable = comparable(images, first, last, means, rows, _contrast_limit(means[0], noise), saturation)
-        amplitude = None
-        if adapted is not None:
-            amplitude, known = amplitude_of(images, adapted, rows)
-            usable &= known
-        seen.append(Band(*means, amplitude, usable))
-    light = equal_light(seen, first, last)
-    shares = light.share(first), light.share(last)
-    return [block_sums(*light.means(band, first), band.usable, noise, shares, threads) for band in seen]
+        shown = None if adapted is None else projector_light(images, adapted, rows)
+        seen.append(Band(*means, None, usable) if shown is None else Band(*means, shown[0], usable & shown[1]))
+    lights = [equal_light(seen, first, last)]
+    if adapted is not None and not adapted.exact_swings:
+        lights.append(EqualLight())
+    found = []
+    for light in lights:
+        shares = light.share(first), light.share(last)
+        found.append([block_sums(*light.means(band, first), band.usable, noise, shares, threads) for band in seen])
+    return min(found, key=_unlike)
+
+
+def _unlike(sums: Sequence[BlockSums]) -> float:
+    """Return how much more two groups differ than by noise, as a share of the texture's power."""
+    texture = sum(float(part.normal[..., 2, 2].sum()) for part in sums)
+    excess = sum(float((part.power - FLOOR_GAIN[2] * part.variance).sum()) for part in sums)
+    return excess / max(texture, 1e-9)
 
 
 def _under_other_light(found: Movement, first: Still, last: Still) -> Movement:
+    if first.exact_swings or last.exact_swings:
+        return found
     more = (LIGHT_SIGMA_PX * float(np.log(last.light / first.light))) ** 2 * np.eye(2)
     everywhere = replace(found.everywhere, covariance=found.everywhere.covariance + more)
     local = None if found.local is None else replace(found.local, covariance=found.local.covariance + more)
@@ -275,8 +291,8 @@ def _agree(window: BlockSums, shift: Shift, pixel: int) -> bool:
 def _compare_coarse(
     images: Sequence[GreyImage], first: Still, last: Still, noise: NoiseModel, saturation: float, threads: int
 ) -> Movement:
-    small = [_shrunk(images[i]) for i in first.images + last.images]
-    places = {index: k for k, index in enumerate(first.images + last.images)}
+    needed = tuple(dict.fromkeys(first.needed + last.needed))
+    small, places = [_shrunk(images[i]) for i in needed], {index: k for k, index in enumerate(needed)}
     groups = first.renumbered(places), last.renumbered(places)
     # Averaged pixels have less noise; the rounding of their mean is as good as none.
     quiet = NoiseModel(noise.offset / COARSE**2, noise.slope / COARSE**2)
