@@ -15,7 +15,15 @@ from planish.sensing.capture.images import GreyImage
 from planish.sensing.capture.sequence import Layout, PeriodSteps
 from planish.sensing.checks.light import Band, EqualLight, equal_light, to_adapt
 from planish.sensing.checks.shift import BLOCK_PX, FLOOR_GAIN, NOT_OBSERVABLE, BlockSums, Shift, block_sums, solve_shift
-from planish.sensing.checks.still import Still, comparable, mean_of, projector_light, stills, to_compare
+from planish.sensing.checks.still import (
+    Still,
+    comparable,
+    mean_of,
+    projector_light,
+    stills,
+    to_compare,
+    white_to_compare,
+)
 
 #: A capture with more movement [px] is refused: points and texture would be off by more than their own noise.
 MAX_MOVEMENT_PX = 0.2
@@ -75,14 +83,22 @@ def check_movement(
     InputError
         Where the movement is larger than MAX_MOVEMENT_PX.
     """
-    quantity = f"movement in camera {camera}"
-    finding = Finding(quantity, None, None, "px", "no two groups of images show the same picture")
-    for first, last in to_compare(stills(layouts)):
+
+    def ask(pair: tuple[Still, Still], quantity: str) -> Finding:
+        first, last = pair
         found = compare(images, first, last, noise, saturation, threads)
-        finding = _judge(found, quantity, f"{first.name} against {last.name}", subject)
+        return _judge(found, quantity, f"{first.name} against {last.name}", subject)
+
+    quantity, groups = f"movement in camera {camera}", stills(layouts)
+    finding = Finding(quantity, None, None, "px", "no two groups of images show the same picture")
+    for pair in to_compare(groups):
+        finding = ask(pair, quantity)
         if finding.value is not None:
             break
     findings = [finding]
+    white = white_to_compare(groups)
+    if white is not None:
+        findings.append(ask(white, f"movement between patterns and white, camera {camera}"))
     witness = _witness(layouts)
     if witness is not None:
         steps, long = witness

@@ -92,6 +92,11 @@ class Still:
         return float(np.mean(self.images))
 
     @property
+    def blank(self) -> bool:
+        """Whether it shows no patterns: white."""
+        return not self.lit_only and self.light == 1.0
+
+    @property
     def exact_swings(self) -> tuple[Swing, ...]:
         """Those swings that show all of the projector's light."""
         return tuple(swing for swing in self.swings if swing.pattern == "none")
@@ -145,7 +150,9 @@ def to_compare(found: Sequence[Still]) -> list[tuple[Still, Still]]:
 
     Lit cells cover half of the image only: of two Gray bits nothing would be left, and fine cells hold no texture.
     """
-    whole = [still for still in found if not still.lit_only]
+    patterns = [still for still in found if not still.lit_only and not still.blank]
+    # Under equal light where that is possible.
+    whole = patterns if len(patterns) > 1 else [still for still in found if not still.lit_only]
     if not whole:
         return []
     first, last = whole[0], whole[-1]
@@ -161,6 +168,20 @@ def to_compare(found: Sequence[Still]) -> list[tuple[Still, Still]]:
     if last is not first:
         pairs.append((_joined(whole, 1), _joined(whole[::-1], -1)))
     return pairs
+
+
+def white_to_compare(found: Sequence[Still]) -> tuple[Still, Still] | None:
+    """Return (first, last): white and the patterns nearest to it in time, where `to_compare` leaves white out.
+
+    It is the white image that lies farthest from all patterns.
+    """
+    patterns = [still for still in found if not still.lit_only and not still.blank]
+    whites = [still for still in found if still.blank]
+    if len(patterns) < 2 or not whites:
+        return None
+    white = max(whites, key=lambda still: min(abs(still.time - other.time) for other in patterns))
+    near = min(patterns, key=lambda other: abs(white.time - other.time))
+    return (near, white) if near.time < white.time else (white, near)
 
 
 def _joined(groups: Sequence[Still], direction: int) -> Still:
