@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -47,29 +48,40 @@ class Band:
 
 @dataclass(frozen=True)
 class EqualLight:
-    """How the group `of` comes under the light of the other one: gain * mean + swing * projector's light."""
+    """How one of two groups comes under the light of the other one: gain * mean + swing * projector's light.
 
-    of: Still | None = None
+    Parameters
+    ----------
+    of : "first", "last" or None
+        Which one; None where both stay as they are.
+    gain, swing : float
+        The two factors.
+    """
+
+    of: Literal["first", "last"] | None = None
     gain: float = 1.0
     swing: float = 0.0
 
-    def means(self, band: Band, first: Still) -> tuple[Map, Map]:
+    def means(self, band: Band) -> tuple[Map, Map]:
         """Return the means (h, W) of first and last under the same light."""
         if self.of is None or band.light is None:
             return band.first, band.last
-        own = band.first if self.of is first else band.last
+        own = band.first if self.of == "first" else band.last
         lit = np.float32(self.gain) * own + np.float32(self.swing) * band.light
-        return (lit, band.last) if self.of is first else (band.first, lit)
+        return (lit, band.last) if self.of == "first" else (band.first, lit)
 
-    def share(self, still: Still) -> float:
-        """Return the variance of a group's mean under that light, in units of that of a single image."""
-        if self.of is not still:
-            return 1 / len(still.images)
+    def shares(self, first: Still, last: Still) -> tuple[float, float]:
+        """Return the variances of both means under that light, in units of that of a single image."""
+        found = [1 / len(still.images) for still in (first, last)]
+        if self.of is not None:
+            found[self.of == "last"] = self._share(first if self.of == "first" else last)
+        return found[0], found[1]
+
+    def _share(self, still: Still) -> float:
         swings = still.exact_swings or still.swings
-        weights = dict.fromkeys(still.needed, 0.0)
+        weights, patterns = dict.fromkeys(still.needed, 0.0), 0.0
         for index in still.images:
             weights[index] += self.gain / len(still.images)
-        patterns = 0.0
         for swing in swings:
             scale = self.swing / len(swings)
             if swing.pattern == "none":
@@ -107,7 +119,7 @@ def equal_light(bands: Sequence[Band], first: Still, last: Still) -> EqualLight:
     weight = np.sqrt(means[:, 0]) / np.maximum(other, 1e-3)
     columns = np.column_stack([own, means[:, 3]]) * weight[:, None]
     change = np.linalg.lstsq(columns, (other - own) * weight, rcond=1e-6)[0]
-    return EqualLight(of, 1 + float(change[0]), float(change[1]))
+    return EqualLight("first" if of is first else "last", 1 + float(change[0]), float(change[1]))
 
 
 def _block_means(band: Band) -> Array:

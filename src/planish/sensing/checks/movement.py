@@ -113,38 +113,38 @@ def compare(
 ) -> Movement:
     """Return the movement of the last group of images against the first."""
     rows = bands(images[0].shape, SAMPLED_PX, WINDOW_BLOCKS)
-    sums = _sums(images, first, last, rows, noise, saturation, threads)
-    tops = [band.start for band in rows]
+    tops, coarse, light = [band.start for band in rows], None, None
+    if not (first.lit_only or last.lit_only):
+        coarse, light = _compare_coarse(images, first, last, noise, saturation, threads)
+    sums, _ = _sums(images, first, last, rows, noise, saturation, threads, light)
     fine = _under_other_light(locate(sums, tops), first, last)
-    if first.lit_only or last.lit_only:
-        return fine
-    coarse = _compare_coarse(images, first, last, noise, saturation, threads)
-    return coarse if coarse.worst.length_px > COARSE_FROM_PX else fine
+    return coarse if coarse is not None and coarse.worst.length_px > COARSE_FROM_PX else fine
 
 
 def _sums(
     images: Sequence[GreyImage], first: Still, last: Still, parts: Sequence[slice], noise: NoiseModel,
-    saturation: float, threads: int,
-) -> list[BlockSums]:  # fmt: skip
-    """Return the sums of two groups under the same light over some bands of rows.
+    saturation: float, threads: int, light: EqualLight | None = None,
+) -> tuple[list[BlockSums], EqualLight]:  # fmt: skip
+    """Return the sums of two groups under the same light over some bands of rows, and that light, unless it is known.
 
     What fringes show of the projector's light is less of it where they are blurred or light comes by several ways: it
     is made use of where it explains more than a common factor does.
     """
-    adapted, seen = to_adapt(first, last), []
+    adapted = to_adapt(first, last) if light is None or light.of is not None else None
+    seen = []
     for rows in parts:
         means = mean_of(images, first.images, rows), mean_of(images, last.images, rows)
         usable = comparable(images, first, last, means, rows, _contrast_limit(means[0], noise), saturation)
         shown = None if adapted is None else projector_light(images, adapted, rows)
         seen.append(Band(*means, None, usable) if shown is None else Band(*means, shown[0], usable & shown[1]))
-    lights = [equal_light(seen, first, last)]
-    if adapted is not None and not adapted.exact_swings:
+    lights = [equal_light(seen, first, last) if light is None else light]
+    if light is None and adapted is not None and not adapted.exact_swings:
         lights.append(EqualLight())
     found = []
     for light in lights:
-        shares = light.share(first), light.share(last)
-        found.append([block_sums(*light.means(band, first), band.usable, noise, shares, threads) for band in seen])
-    return min(found, key=_unlike)
+        shares = light.shares(first, last)
+        found.append(([block_sums(*light.means(band), band.usable, noise, shares, threads) for band in seen], light))
+    return min(found, key=lambda item: _unlike(item[0]))
 
 
 def _unlike(sums: Sequence[BlockSums]) -> float:
@@ -306,14 +306,15 @@ def _agree(window: BlockSums, shift: Shift, pixel: int) -> bool:
 
 def _compare_coarse(
     images: Sequence[GreyImage], first: Still, last: Still, noise: NoiseModel, saturation: float, threads: int
-) -> Movement:
+) -> tuple[Movement, EqualLight]:
+    """Return the movement at a quarter of the resolution, and how both groups came under the same light."""
     needed = tuple(dict.fromkeys(first.needed + last.needed))
     small, places = [_shrunk(images[i]) for i in needed], {index: k for k, index in enumerate(needed)}
     groups = first.renumbered(places), last.renumbered(places)
     # Averaged pixels have less noise; the rounding of their mean is as good as none.
     quiet = NoiseModel(noise.offset / COARSE**2, noise.slope / COARSE**2)
-    sums = _sums(small, *groups, [slice(0, small[0].shape[0])], quiet, saturation, threads)
-    return locate(sums, [0], COARSE)
+    sums, light = _sums(small, *groups, [slice(0, small[0].shape[0])], quiet, saturation, threads)
+    return locate(sums, [0], COARSE), light
 
 
 def _shrunk(image: GreyImage) -> GreyImage:
