@@ -120,3 +120,10 @@ def test_the_noise_of_a_group_under_other_light_is_that_of_its_images():
     # The standard deviation of a variance from 100,000 values is 0.45 %.
     assert found[0] == pytest.approx(lit.var(), rel=0.03)
     assert found[1] == 0.5
+
+
+def test_a_movement_that_is_perhaps_too_large_is_warned_of():
+    entries, layouts = made([{"role": "white"}, BLACK])
+    findings = check(seen(entries, 0.5, 1.0, moved_from=6, shift=(0.21, 0.0), contrast=0.01), layouts)
+    assert "may be more than the 0.2 px" in findings[0].warning
+    assert findings[1].warning == ""

@@ -366,4 +366,10 @@ def _judge(found: Movement, quantity: str, source: str, subject: str) -> Finding
             f"at most {MAX_MOVEMENT_PX} px: keep part and sensor still from the first image to the last, and take the "
             "capture again",
         )
-    return Finding(quantity, worst.length_px, worst.sigma_px, "px", source + where)
+    warning = ""
+    if worst.length_px > MAX_MOVEMENT_PX:
+        warning = (
+            f"{quantity}: {worst.length_px:.2f} +- {worst.sigma_px:.2f} px{where}, which may be more than the "
+            f"{MAX_MOVEMENT_PX} px that do no harm: make sure that nothing moves during a capture"
+        )
+    return Finding(quantity, worst.length_px, worst.sigma_px, "px", source + where, warning)
