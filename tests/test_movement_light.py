@@ -124,6 +124,6 @@ def test_the_noise_of_a_group_under_other_light_is_that_of_its_images():
 
 def test_a_movement_that_is_perhaps_too_large_is_warned_of():
     entries, layouts = made([{"role": "white"}, BLACK])
-    findings = check(seen(entries, 0.5, 1.0, moved_from=6, shift=(0.21, 0.0), contrast=0.01), layouts)
+    findings = check(seen(entries, 0.5, 1.0, moved_from=6, shift=(0.0, 0.23), contrast=0.01), layouts)
     assert "may be more than the 0.2 px" in findings[0].warning
     assert findings[1].warning == ""
