@@ -104,14 +104,27 @@ def _merge(
             view.value, view.variance, level, lowpass.factor, place, lowpass.threads
         )
         # Over the same pixels for all cameras and the light.
-        expected = lowpass(np.where(measurement.valid, image, np.float32(np.nan)))
+        total, count = lowpass.sums(np.where(measurement.valid, image, np.float32(np.nan)))
+        expected = lowpass.trend_of(total, count)
         if relative is not None:
             # With I = albedo S, lowpass(I) S / lowpass(S) is S times the local mean of the albedo, weighted by S. Room
             # light does not follow S.
             room = fill_gaps(from_camera_blocks(measurement, name, view.room_share, lowpass), 0.0)
             expected = expected * (relative + room * (1 - relative))
+        expected = expected * _left_over(total, count, expected, lowpass)
         images.append((image, variance, expected, counted))
     return _core.merge_contrasts(images, measurement.valid.view(np.uint8), lowpass.factor, lowpass.threads)
+
+
+def _left_over(total: Map, count: Map, expected: Map, lowpass: Lowpass) -> Map:
+    """Return what still changes slowly in an image, given by its sums over blocks (h, w), against what is expected.
+
+    Light that grazes the surface is predicted badly, since errors of the normals count most there and the points of a
+    bent surface's rim are the worst: a second pass of the low-pass takes what the first one left (twicing: Tukey 1977).
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(expected > 0, total / expected, np.float32(0))
+    return lowpass.trend_of(relative, np.where(expected > 0, count, np.float32(0)))
 
 
 def _relative_shading(measurement: Measurement, surface: Surface, lowpass: Lowpass, options: PhotometricOptions) -> Map:
@@ -137,7 +150,7 @@ def _relative_shading(measurement: Measurement, surface: Surface, lowpass: Lowpa
 def _over_lowpass(shading: Map, lowpass: Lowpass) -> Map:
     known = np.isfinite(shading)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = shading / lowpass.ratio(np.where(known, shading, np.float32(0)), known.astype(np.float32))
+        ratio = shading / lowpass.trend_of(np.where(known, shading, np.float32(0)), known.astype(np.float32))
     return np.where(known, ratio, np.float32(np.nan)).astype(np.float32)
 
 
