@@ -83,10 +83,6 @@ class Lowpass:
             cv2.sepFilter2D(blocks, -1, bell * at**i, bell * at**j, borderType=cv2.BORDER_CONSTANT) for i, j in powers
         ]
 
-    def smooth(self, blocks: Map) -> Map:
-        """Return blocks (h, w) smoothed by the Gaussian, 0 beyond the image."""
-        return cv2.GaussianBlur(blocks, (0, 0), self.sigma_px / self.factor, borderType=cv2.BORDER_CONSTANT)
-
     def shape(self, image_shape: tuple[int, int]) -> tuple[int, int]:
         """Return (h, w) for an image of (H, W)."""
         return -(-image_shape[0] // self.factor), -(-image_shape[1] // self.factor)
@@ -101,11 +97,14 @@ class Lowpass:
         )
         return image[np.ix_(rows, columns)]
 
-    @property
-    def noise_left(self) -> float:
-        """Share of a pixel's own variance that is left where the low-pass is taken from it: it holds the pixel, too."""
-        # |delta - g|^2 = 1 - 2 g(0) + |g|^2 with g(0) = 1 / (2 pi s^2), |g|^2 = 1 / (4 pi s^2).
-        return 1.0 - 3.0 / (4.0 * np.pi * max(self.sigma_px, 1.0) ** 2)
+    def noise_left(self, passes: int = 1) -> float:
+        """Share of a pixel's own variance that is left where one or two passes of the low-pass are taken from it.
+
+        The low-pass holds the pixel, too: |delta - k|^2 = 1 - 2 k(0) + |k|^2 for the kernel k, the Gaussian g itself or
+        2 g - g * g for two passes; n-fold convolutions of g have the value 1 / (2 pi n s^2) in their middle.
+        """
+        share = 3 / 4 if passes == 1 else 25 / 24
+        return 1.0 - share / (np.pi * max(self.sigma_px, 1.0) ** 2)
 
 
 def fill_gaps(blocks: Map, default: float) -> Map:
