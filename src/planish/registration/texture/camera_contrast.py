@@ -92,7 +92,7 @@ def camera_contrast(measurement: Measurement, name: str, lowpass: Lowpass, limit
         [(k.low, k.high) for k in kinds.values()],
         inverse,
         weights,
-        [noise(a, b) * np.float32(lowpass.noise_left) for a in names for b in names],
+        [noise(a, b) * np.float32(lowpass.noise_left()) for a in names for b in names],
         lowpass.factor,
         limit,
         lowpass.threads,
