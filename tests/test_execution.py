@@ -43,6 +43,12 @@ def test_an_error_in_a_worker_is_raised_as_it_is(pool):
         list(pool.map(tasks.refuse, [3]))
 
 
+def test_a_pool_goes_on_after_an_error_with_items_under_way(pool):
+    with pytest.raises(InputError):
+        list(pool.map(tasks.refuse, range(10)))
+    assert sorted(pool.map(tasks.square, range(4))) == [(i, i * i) for i in range(4)]
+
+
 def test_what_a_function_prints_does_not_disturb_the_answers(pool):
     assert list(pool.map(tasks.print_much, ["value"])) == [(0, "value")]
 

@@ -42,6 +42,11 @@ class DaskCluster:
         """How many items are worked on at a time."""
         return max(1, sum(self._client.nthreads().values()))
 
+    @property
+    def shares_memory(self) -> bool:
+        """Whether all items find in memory what earlier ones have left there: only those of one process do."""
+        return False
+
     def map(self, function: Callable[[Item, int], Value], items: Sequence[Item]) -> Iterator[tuple[int, Value]]:
         """Yield (index of the item, function(item, threads)) as they are done; the first error is raised."""
         # The scheduler remembers results by key: pure functions of files would be taken for done when files are gone.

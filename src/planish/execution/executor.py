@@ -28,6 +28,10 @@ class Executor(Protocol):
     def slots(self) -> int:
         """How many items are worked on at a time."""
 
+    @property
+    def shares_memory(self) -> bool:
+        """Whether all items find in memory what earlier ones have left there."""
+
     def map(self, function: Callable[[Item, int], Value], items: Sequence[Item]) -> Iterator[tuple[int, Value]]:
         """Yield (index of the item, function(item, threads)) as they are done; the first error is raised."""
 
@@ -50,6 +54,11 @@ class Threads:
     def slots(self) -> int:
         """How many items are worked on at a time."""
         return self._threads
+
+    @property
+    def shares_memory(self) -> bool:
+        """Whether all items find in memory what earlier ones have left there: they do."""
+        return True
 
     def map(self, function: Callable[[Item, int], Value], items: Sequence[Item]) -> Iterator[tuple[int, Value]]:
         """Yield (index of the item, function(item, threads)) as they are done.

@@ -80,12 +80,16 @@ class WorkerPool:
             raise InputError("workers", f"found {workers}", "a whole number >= 1")
         self._own_threads = max(1, thread_count(threads) // workers)
         self._workers: list[Worker | None] = [None] * workers
-        self._closed = False
 
     @property
     def slots(self) -> int:
         """How many items are worked on at a time."""
         return len(self._workers)
+
+    @property
+    def shares_memory(self) -> bool:
+        """Whether all items find in memory what earlier ones have left there: only those of one process do."""
+        return False
 
     @property
     def pids(self) -> list[int]:
@@ -96,9 +100,10 @@ class WorkerPool:
         """Yield (index of the item, function(item, threads)) as they are done; the first error is raised."""
         waiting = deque((index, 1) for index in range(len(items)))
         answers: SimpleQueue[tuple[int, Value | None, BaseException | None]] = SimpleQueue()
+        given_up = threading.Event()
 
         def serve(slot: int) -> None:
-            while not self._closed:
+            while not given_up.is_set():
                 try:
                     index, attempt = waiting.popleft()
                 except IndexError:
@@ -113,13 +118,24 @@ class WorkerPool:
                 except Exception as error:
                     answers.put((index, None, error))
 
-        for slot in range(min(len(items), len(self._workers))):
-            threading.Thread(target=serve, args=(slot,), daemon=True).start()
-        for _ in items:
-            index, value, error = answers.get()
-            if error is not None:
-                raise error
-            yield index, value  # type: ignore[misc]
+        slots = range(min(len(items), len(self._workers)))
+        threads = [threading.Thread(target=serve, args=(slot,), daemon=True) for slot in slots]
+        for thread in threads:
+            thread.start()
+        try:
+            for _ in items:
+                index, value, error = answers.get()
+                if error is not None:
+                    raise error
+                yield index, value  # type: ignore[misc]
+        except BaseException:
+            # An error, an interrupt, or nobody who wants the rest.
+            given_up.set()
+            self._stop()
+            raise
+        finally:
+            for thread in threads:
+                thread.join()
 
     def _call(self, slot: int, function: Callable[[Item, int], Value], item: Item) -> Value:
         worker = self._workers[slot]
@@ -139,7 +155,10 @@ class WorkerPool:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End all workers."""
-        self._closed = True
-        for worker in self._workers:
+        self._stop()
+
+    def _stop(self) -> None:
+        for slot, worker in enumerate(self._workers):
             if worker is not None:
                 worker.stop()
+                self._workers[slot] = None

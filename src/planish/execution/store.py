@@ -86,10 +86,6 @@ class StageStore:
             raise InputError(self.path(stage, key), "cannot be read back", "a disk that keeps what is written to it")
         return found, False
 
-    def remove(self, stage: str, key: str) -> None:
-        """Remove a result that another one holds."""
-        self.path(stage, key).unlink(missing_ok=True)
-
     def remove_unfinished(self) -> None:
         """Remove what killed processes have left of files they were writing."""
         for path in self.folder.glob("*/.*.part"):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
+import numpy as np
 from pydantic import Field
 
 from planish import storage
 from planish.errors import InputError
 from planish.options import Strict
 from planish.pipeline.options import RegisterOptions
+from planish.pipeline.stages import Source
 
 SCHEMA = "planish.frozen/1"
 
@@ -22,6 +24,33 @@ class FrozenMeasurement(Strict):
     name: str
     path: str
     sha256: str
+    size_bytes: int
+    mtime_ns: int
+    gsd_mm: float | None
+    sensor: str | None
+    centroid_sensor: tuple[float, float, float]
+
+    @classmethod
+    def of(cls, source: Source) -> Self:
+        """Return what is kept of a measurement file."""
+        x, y, z = source.centroid_sensor.tolist()
+        return cls(
+            name=source.name, path=str(source.path), sha256=source.sha256, size_bytes=source.size_bytes,
+            mtime_ns=source.mtime_ns, gsd_mm=source.gsd_mm if np.isfinite(source.gsd_mm) else None,
+            sensor=source.sensor, centroid_sensor=(x, y, z),
+        )  # fmt: skip
+
+    def source(self) -> Source | None:
+        """Return the file as it was, where size and time of the last change say that it is so still; else None."""
+        path = Path(self.path)
+        found = path.stat()
+        if (found.st_size, found.st_mtime_ns) != (self.size_bytes, self.mtime_ns):
+            return None
+        gsd = float("nan") if self.gsd_mm is None else self.gsd_mm
+        return Source(
+            self.name, path, self.sha256, self.size_bytes, self.mtime_ns, gsd, self.sensor,
+            np.array(self.centroid_sensor),
+        )  # fmt: skip
 
 
 class Batch(Strict):

@@ -19,7 +19,7 @@ from planish.execution.executor import Executor, Threads
 from planish.execution.store import StageStore
 from planish.pipeline.frozen import Batch, Frozen, FrozenMeasurement
 from planish.pipeline.options import RegisterOptions
-from planish.pipeline.schedule import blocks
+from planish.pipeline.schedule import MAX_BLOCK, blocks
 from planish.pipeline.stages import (
     PairStage,
     PatternStage,
@@ -112,10 +112,11 @@ def add_files(
     twice = sorted(set(new) & set(old))
     if twice:
         raise InputError(new[twice[0]].path, f"holds '{twice[0]}', which is registered in {to}", "a new measurement")
-    sources = _look([Path(item.path) for item in old.values()], executor, say) | new
+    sources = {name: source for name, item in old.items() if (source := item.source()) is not None}
+    touched = [Path(item.path) for name, item in old.items() if name not in sources]
+    sources |= new | (_look(touched, executor, say) if touched else {})
     for item in old.values():
-        found = sources.get(item.name)
-        if found is None or found.sha256 != item.sha256:
+        if item.name not in sources or sources[item.name].sha256 != item.sha256:
             raise InputError(item.path, f"has changed since '{item.name}' was registered", "the same content")
     names = [*sources]
     if reference is not None and reference not in names:
@@ -136,7 +137,7 @@ class FileRun:
     Parameters
     ----------
     registration : Registration
-        Without the pixels of matches, which `pair` reads.
+        Without the pixels of matches, which `with_pixels` reads.
     views : dict of View
         By the name of the measurement.
     pairs : dict of PairStage
@@ -150,10 +151,10 @@ class FileRun:
     pairs: Mapping[tuple[str, str], PairStage]
     reused: Mapping[str, tuple[int, int]]
 
-    def pair(self, a: str, b: str) -> PairResult:
-        """Return a pair of the registration with the pixels of its matches."""
-        found, seen = self.registration.pair(a, b), self.pairs[a, b].result()
-        return found if seen is None else replace(found, matches_px=seen.matches_px, consensus_px=seen.consensus_px)
+    def with_pixels(self, pair: PairResult) -> PairResult:
+        """Return a pair of the registration with the pixels of its matches, read now."""
+        seen = self.pairs[pair.a, pair.b].result()
+        return pair if seen is None else replace(pair, matches_px=seen.matches_px, consensus_px=seen.consensus_px)
 
 
 class KeypointFiles(Mapping[str, Keypoints]):
@@ -199,10 +200,7 @@ class _Run:
             versions=versions(),
         )  # fmt: skip
         registration.save(self.out / "registration.json")
-        entries = [
-            [FrozenMeasurement(name=n, path=str(sources[n].path.resolve()), sha256=sources[n].sha256) for n in batch]
-            for batch in batches
-        ]
+        entries = [[FrozenMeasurement.of(sources[name]) for name in batch] for batch in batches]
         record = tuple(Batch(measurements=tuple(e), pairs=tuple(p)) for e, p in zip(entries, tried, strict=True))
         replace(self.frozen, batches=record).save(store.folder)
         return FileRun(registration, views, pairs, self.reused)
@@ -225,6 +223,10 @@ class _Run:
                 if sensor is not None:
                     taken.setdefault(sensor, []).append(sources[name])
             for sensor, items in taken.items():
+                if captures.get(sensor, 0) >= CAPTURES_PER_SUM:
+                    # It is well known, and tells what it is without the new captures' own texture.
+                    found |= {item.name: sums[sensor] for item in items}
+                    continue
                 groups = [tuple(items[i : i + CAPTURES_PER_SUM]) for i in range(0, len(items), CAPTURES_PER_SUM)]
                 parts = [PatternStage(store, options, group) for group in groups]
                 self._count("pattern", sum_pattern, parts)
@@ -260,7 +262,8 @@ class _Run:
         there, total = len(results), len(pairs)
         self.say("pairs", there, total, there)
         self.reused["pairs"] = (there, total)
-        groups = blocks([names for names in pairs if names not in results], self.executor.slots)
+        most = 1 if self.executor.shares_memory else MAX_BLOCK
+        groups = blocks([names for names in pairs if names not in results], self.executor.slots, most)
         done = there
         for _, count in self.executor.map(register_pairs, [tuple(pairs[names] for names in g) for g in groups]):
             done += count

@@ -13,6 +13,7 @@ from planish.evaluation.prepared import Prepared
 from planish.evaluation.result import Evaluation
 from planish.execution.executor import Executor
 from planish.geometry import Array, invert
+from planish.options import thread_count
 from planish.pipeline.registering_files import FileRun
 from planish.pipeline.stages import View
 from planish.registration.result import PlacedMeasurement
@@ -93,4 +94,4 @@ def report_files(run: FileRun, out: Path, executor: Executor, truth: Evaluation 
     ]
     items = dict(executor.map(draw_view, drawings))
     scene = Scene(registration, plan, tuple(items[index] for index in range(len(drawings))))
-    return write_scene(scene, out, truth, executor.slots, lambda pair: run.pair(pair.a, pair.b))
+    return write_scene(scene, out, truth, min(executor.slots, thread_count()), run.with_pixels)

@@ -10,15 +10,15 @@ Pair = tuple[str, str]
 #: Prepared measurements that a worker keeps at full resolution.
 _KEPT = 3
 #: Most pairs of a block: what a killed worker loses, and what others wait for at the end.
-_MAX_BLOCK = 16
+MAX_BLOCK = 16
 #: Blocks per worker at least, so that all end at about the same time.
 _BLOCKS_PER_SLOT = 4
 
 
-def blocks(pairs: Sequence[Pair], slots: int) -> list[list[Pair]]:
-    """Return the pairs in blocks, each to be tried by one of `slots` workers, one pair after the other."""
+def blocks(pairs: Sequence[Pair], slots: int, most: int = MAX_BLOCK) -> list[list[Pair]]:
+    """Return the pairs in blocks of at most `most`, each for one of `slots` workers, one pair after the other."""
     ordered = _walk(pairs)
-    size = max(1, min(_MAX_BLOCK, len(ordered) // (_BLOCKS_PER_SLOT * slots)))
+    size = max(1, min(most, len(ordered) // (_BLOCKS_PER_SLOT * slots)))
     return [ordered[i : i + size] for i in range(0, len(ordered), size)]
 
 

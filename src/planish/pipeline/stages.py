@@ -54,6 +54,8 @@ class Source:
     path : Path
     sha256 : str
         Of the file.
+    size_bytes, mtime_ns : int
+        Size of the file and time of its last change.
     gsd_mm : float
         Ground sample distance [mm per pixel]; NaN where there are no points.
     sensor : str or None
@@ -65,6 +67,8 @@ class Source:
     name: str
     path: Path
     sha256: str
+    size_bytes: int
+    mtime_ns: int
     gsd_mm: float
     sensor: str | None
     centroid_sensor: Array
@@ -72,9 +76,13 @@ class Source:
 
 def look_at(path: Path, threads: int) -> Source:
     """Return what a run needs to know of a measurement file before it starts."""
-    sha256 = storage.sha256(path)
+    if not path.is_file():
+        raise InputError(path, "no such file", "a measurement written by `planish measure`")
+    found, sha256 = path.stat(), storage.sha256(path)
     m = Measurement.load(path)
-    return Source(m.name, path, sha256, ground_sample_distance(m), sensor_key(m), centroid(m))
+    return Source(
+        m.name, path, sha256, found.st_size, found.st_mtime_ns, ground_sample_distance(m), sensor_key(m), centroid(m)
+    )
 
 
 def centroid(measurement: Measurement) -> Array:
