@@ -20,13 +20,16 @@ from planish.execution.executor import Threads
 from planish.execution.pool import WorkerPool
 from planish.geometry import difference, exp_se3, invert
 from planish.measurement import Measurement
-from planish.pipeline import add_files, register, register_files
+from planish.pipeline import add_files, register, register_files, registering_files
 from planish.registration.result import Registration
+from planish.registration.texture import fixed_pattern
 
 PLACES = {"left": np.eye(4), "middle": sheets.T_TRUE, "right": sheets.T_TRUE @ exp_se3([0, 0.02, 0.4, 70, 30, 0])}
 #: Two ways to the same transforms whose textures lack patterns that are estimated from fewer or from more captures: a
 #: fiftieth of a pixel of 1.3 mm.
 FROZEN_PATTERN_MM = 0.03
+#: Sums of three float32 in another order, relative.
+FLOAT32_SUMS = 1e-5
 
 
 @pytest.fixture(scope="module")
@@ -214,6 +217,39 @@ def test_additions_give_the_same_bytes_after_an_interrupt(files, tmp_path):
 def _interrupt_after_a_pair(stage, done, total, reused):
     if stage == "pairs" and done > reused:
         raise KeyboardInterrupt
+
+
+def test_patterns_of_many_captures_are_summed_in_parts_alike_in_memory_and_in_files(files, tmp_path, monkeypatch):
+    for module in (fixed_pattern, registering_files):
+        monkeypatch.setattr(module, "CAPTURES_PER_SUM", 2)
+    measurements = [Measurement.load(path) for path in files]
+    run = register_files(files, tmp_path)
+    options = run.views["left"].options.photometric
+    in_memory = fixed_pattern.estimate_fixed_patterns(measurements, options, threads=1)["left"]
+    # Two parts, and both together.
+    assert run.reused["pattern"] == (0, 3)
+    stages = {view.pattern.key: view.pattern for view in run.views.values()}
+    assert len(stages) == 1
+    (stage,) = stages.values()
+    of_files = stage.pattern(1)
+    assert of_files.members == in_memory.members == set(PLACES)
+    together = fixed_pattern.sum_captures(measurements, options, threads=1).pattern(PLACES)
+    for expected, same, near in zip(*(bands(p) for p in (in_memory, of_files, together)), strict=True):
+        assert np.array_equal(same, expected)
+        assert np.allclose(near, expected, rtol=0, atol=FLOAT32_SUMS * np.abs(expected).max())
+
+
+def bands(pattern):
+    names = ("weighted_sum", "weight", "prior", "still", "gain")
+    return [getattr(band, name) for _, c in sorted(pattern.cameras.items()) for band in c.bands for name in names]
+
+
+def test_what_is_added_to_a_well_known_pattern_is_corrected_by_it_and_takes_no_part(files, tmp_path, monkeypatch):
+    monkeypatch.setattr(registering_files, "CAPTURES_PER_SUM", 2)
+    register_files(files[:2], tmp_path)
+    run = add_files(files[2:], tmp_path)
+    assert run.reused["pattern"] == (1, 1)
+    assert list(run.views["right"].pattern.members) == ["left", "middle"]
 
 
 def test_what_cannot_be_added_is_named(files, tmp_path):
