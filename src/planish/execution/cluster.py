@@ -51,7 +51,8 @@ class DaskCluster:
         """Yield (index of the item, function(item, threads)) as they are done; the first error is raised."""
         # The scheduler remembers results by key: pure functions of files would be taken for done when files are gone.
         futures = {
-            self._client.submit(_call, function, item, code_version(), pure=False): i for i, item in enumerate(items)
+            self._client.submit(call_if_same_code, function, item, code_version(), pure=False): i
+            for i, item in enumerate(items)
         }
         try:
             for future in self._distributed.as_completed(list(futures), loop=self._client.loop):
@@ -69,7 +70,8 @@ class DaskCluster:
         self._client.close()
 
 
-def _call(function: Callable[[Item, int], Value], item: Item, code: str) -> Value:
+def call_if_same_code(function: Callable[[Item, int], Value], item: Item, code: str) -> Value:
+    """Return function(item, threads) on a worker whose code is that of the caller; else raise InputError."""
     if code_version() != code:
         raise InputError("cluster", "a worker runs another planish, NumPy, SciPy or OpenCV", "the same everywhere")
     # A Dask worker runs as many items as it has threads: one thread for each of them.

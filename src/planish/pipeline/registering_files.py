@@ -74,7 +74,10 @@ def register_files(
     InputError
         Where a file is unusable, there is none, a name stands twice, or `reference` is none of them.
     """
-    executor, say = executor or Threads(), progress or (lambda *_: None)
+    if executor is None:
+        with Threads() as threads:
+            return register_files(paths, out, options, reference=reference, executor=threads, progress=progress)
+    say = progress or (lambda *_: None)
     sources = _look(paths, executor, say)
     if reference is not None and reference not in sources:
         raise InputError("reference", f"found '{reference}'", f"one of {sorted(sources)}")
@@ -102,7 +105,10 @@ def add_files(
         Where `to` holds no registration of files, a measurement is in it already, or one of its files has moved or
         changed.
     """
-    executor, say = executor or Threads(), progress or (lambda *_: None)
+    if executor is None:
+        with Threads() as threads:
+            return add_files(paths, to, reference=reference, executor=threads, progress=progress)
+    say = progress or (lambda *_: None)
     frozen = Frozen.load(Path(to) / STAGES)
     old = {m.name: m for batch in frozen.batches for m in batch.measurements}
     for item in old.values():
