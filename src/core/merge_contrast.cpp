@@ -1,3 +1,4 @@
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -28,11 +29,9 @@ Read read_cubic(const Image<const float>& values, const Image<const float>& vari
     cubic_weights(fy, wy);
     const float squares_x = wx[0] * wx[0] + wx[1] * wx[1] + wx[2] * wx[2] + wx[3] * wx[3];
     const float squares_y = wy[0] * wy[0] + wy[1] * wy[1] + wy[2] * wy[2] + wy[3] * wy[3];
-    float value = 0;
-    for (int k = 0; k < 4; ++k) {
-        const float* line = values.at(y + k - 1, x - 1);
-        value += wy[k] * (wx[0] * line[0] + wx[1] * line[1] + wx[2] * line[2] + wx[3] * line[3]);
-    }
+    Eigen::Array4f columns = Eigen::Array4f::Zero();
+    for (int k = 0; k < 4; ++k) columns += wy[k] * Eigen::Map<const Eigen::Array4f>(values.at(y + k - 1, x - 1));
+    const float value = (columns * Eigen::Map<const Eigen::Array4f>(wx)).sum();
     const float variance = *variances.at(y + (fy >= 0.5F), x + (fx >= 0.5F));
     return {value, variance * squares_x * squares_y};
 }
