@@ -103,8 +103,9 @@ class ReadRow {
             float w[4];
             cubic_weights(across_[i], w);
             const float* c = columns_.data() + 4 * i;
-            const float level = level_[i] * known_[i];
-            image[i] = (1 + (w[0] * c[0] + w[1] * c[1] + w[2] * c[2] + w[3] * c[3])) * level;
+            const float value = w[0] * c[0] + w[1] * c[1] + w[2] * c[2] + w[3] * c[3];
+            const float level = value == value ? level_[i] * known_[i] : kNaN;
+            image[i] = (1 + value) * level;
             variance[i] = variance_[i] * gain_[i] * level * level;
         }
     }

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from planish import _core
 from planish.measurement import Map
@@ -14,6 +15,8 @@ from planish.measurement import Map
 _SIGMA_BLOCKS = 2.0
 #: Share of the window that must be known.
 _MIN_DENSITY = 1e-3
+#: What the kernels take for a mask that leaves nothing out.
+EVERYWHERE = np.empty((0, 0), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -29,16 +32,21 @@ class Lowpass:
         """Return the low-pass with the largest blocks that it allows."""
         return cls(sigma_px, max(1, round(sigma_px / _SIGMA_BLOCKS)), threads)
 
-    def __call__(self, image: Map, low: float = -np.inf, high: float = np.inf) -> Map:
+    def __call__(
+        self, image: Map, low: float = -np.inf, high: float = np.inf, seen: NDArray[np.bool_] | None = None
+    ) -> Map:
         """Return the mean (h, w) of the pixels with low < value < high around each block; NaN where there are none.
 
-        Normalised convolution (Knutsson and Westin 1993).
+        Where `seen` (H, W) is given, pixels count only there. Normalised convolution (Knutsson and Westin 1993).
         """
-        return self.ratio(*self.sums(image, low, high))
+        return self.ratio(*self.sums(image, low, high, seen))
 
-    def sums(self, image: Map, low: float = -np.inf, high: float = np.inf) -> tuple[Map, Map]:
+    def sums(
+        self, image: Map, low: float = -np.inf, high: float = np.inf, seen: NDArray[np.bool_] | None = None
+    ) -> tuple[Map, Map]:
         """Return sum and number (h, w) of the pixels with low < value < high per block; NaN never counts."""
-        return _core.block_sums(np.ascontiguousarray(image, np.float32), low, high, self.factor, self.threads)
+        where = EVERYWHERE if seen is None else np.ascontiguousarray(seen).view(np.uint8)
+        return _core.block_sums(np.ascontiguousarray(image, np.float32), low, high, where, self.factor, self.threads)
 
     def ratio(self, total: Map, weight: Map) -> Map:
         """Return the low-pass of `total` over that of `weight` (h, w); NaN where there is too little weight."""
