@@ -13,7 +13,7 @@ from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import Options
 from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
-from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows, prepare_dense, signal_to_noise
+from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows, prepare_dense
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
 from planish.registration.match.matching import MatchOptions, match
@@ -32,6 +32,7 @@ from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.charts import ChartOptions
 from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
+from planish.registration.texture.strength import signal_to_noise
 from planish.registration.tiles import ground_sample_distance, tile_size_px
 from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.geometry import line_of_sight

@@ -13,7 +13,8 @@ from planish.registration.consensus import Candidate, CoarseResult
 from planish.registration.matches import Matches
 from planish.registration.refine.anchor import Anchor
 from planish.registration.texture.resample import TextureImage
-from planish.registration.verdict.aligned import Side, sample
+from planish.registration.texture.sampling import sample
+from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.false_alarms import (
     log10_by_matches,
     log10_by_windows,
@@ -193,7 +194,7 @@ def _window_points(b: Measurement, windows: Windows) -> tuple[Array, Array]:
     points_a = windows.points_a[chosen]
     if len(points_a) == 0:
         return points_a, points_a
-    points_b = sample(b.points_sensor, windows.found_b[chosen].astype(np.float32)).astype(float)
+    points_b = sample(b.points_sensor, windows.found_b[chosen], nearest_outside=True).astype(float)
     known = np.isfinite(points_b).all(1)
     return points_a[known], points_b[known]
 
