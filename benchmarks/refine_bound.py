@@ -255,9 +255,9 @@ def _position_slope(scene: Scene, points: Array, step: Array) -> Map:
 def _pixel_information(scene: Scene, projected: Map, room: Map) -> tuple[Map, Map]:
     """Return the information of one pixel's images about its contrast, and about the projector's position [1/px^2].
 
-    Image k holds D_k (1 + c) with variance read^2 + D_k / electrons (EMVA 1288) + quantum^2 / 12: the information about c
-    is sum D_k^2 / variance, and that about what all of them share, c and the pixel's response, adds the response's
-    variance. The position changes D_k by projected / 2 * 2 pi / period * sine.
+    Image k holds D_k (1 + c) with variance read^2 + D_k / electrons (EMVA 1288) + quantum^2 / 12: its information about
+    c is D_k^2 / variance. The pixel's response, the same in all of them, adds its own variance to the estimate of c.
+    The position changes D_k by projected / 2 * 2 pi / period * sine.
     """
     sensor = scene.sensor
     quantum = 1.0 if sensor.bits == 8 else 255 / 65535

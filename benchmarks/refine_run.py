@@ -101,5 +101,3 @@ def moved(T_a_b: Array, centre: Array, rng: np.random.Generator, shift_mm: float
     """Return the transform with a shift and a turn about a point of frame a, both in random directions of space."""
     turn, shift = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
     return perturb(T_a_b, np.concatenate([np.deg2rad(turn_deg) * turn, shift_mm * shift]), centre)
-
-
