@@ -2,12 +2,11 @@
 
     OMP_NUM_THREADS=2 python refine_peers.py pair.npz result.json THREADS
 
-The input holds points (N, 3) [mm] of `a` and `b`, `contrast_*` and `white_*` (N,) from 0 to 1, `start` and `truth` (4, 4)
-and `gsd` [mm per pixel]. Written is a list: method, settings, whether these are the recommended ones, transform, seconds
-of preparation (thinning, normals) and of the refinement itself.
+The input holds points (N, 3) [mm] of `a` and `b`, `contrast_*` and `white_*` (N,) from 0 to 1, `start` and `truth`
+(4, 4) and `gsd` [mm per pixel]. Written is a list: method, settings, whether these are the recommended ones, transform,
+seconds of preparation (thinning, normals) and of the refinement itself.
 
-The search goes one setting after the other and keeps the best of each by the truth, which no user has: nobody can tune
-them better to a pair by these settings' effects one by one.
+The search changes one setting after the other and keeps the best of each by the truth, which no user has.
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ import small_gicp
 #: coloured registration thins clouds with points 6 mm apart to 40, 20 and 10 mm.
 VOXELS, ITERATIONS = (6.7, 3.3, 1.7), (50, 30, 14)
 #: The first settings are the recommended ones: Open3D's tutorial on coloured registration (gate of a voxel, weight of
-#: the geometry); small_gicp's examples thin to 0.25 m, look 1 m (four voxels) far and at 10 neighbours. The others, in the
-#: order in which they are sought; 0 = all points.
+#: the geometry); small_gicp's examples thin to 0.25 m, look 1 m (four voxels) far and at 10 neighbours. The others in
+#: the order in which they are sought; 0 = all points.
 ICP = {"gate": (1.0, 3.0), "finest": (1.7, 1.0, 0.0)}
 COLOURED = {"texture": ("white", "contrast"), "weight": (0.968, 0.8, 0.5, 0.1)} | ICP
 GICP = {"gate": (4.0, 2.0, 8.0), "neighbours": (10, 30), "thinned": (3.3, 1.7, 0.0)}

@@ -13,9 +13,10 @@ import numpy as np
 from cells import Rows
 from coarse_parts import measure_part
 from planish.geometry import difference, transform_points
-from refine_bound import pair_bound, true_view
+from refine_bound import pair_bound
 from refine_pairs import KINDS, draw_pair
 from refine_run import KnownPair, known_pairs, moved
+from refine_true_view import true_view
 
 #: Starts: shift [mm] and turn [deg] about the overlap's centroid, for strong grain and for less.
 START, NEAR_START, STRONG_GRAIN = (3.0, 0.5), (1.0, 0.5), 0.01

@@ -159,7 +159,7 @@ def _beside(rows: Rows) -> None:
 
 
 def _methods(rows: Rows) -> Iterable[tuple[str, str, Rows]]:
-    """Yield method, settings in words and its rows: the recommended settings, and the best of each pair by the truth."""
+    """Yield method, settings in words and rows: with the recommended settings, and the best of each pair by truth."""
     for method in ("start", "planish"):
         yield method, "", [r for r in rows if r["method"] == method]
     for method in dict.fromkeys(r["method"] for r in rows if r["method"] not in ("start", "planish")):
