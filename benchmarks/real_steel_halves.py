@@ -2,7 +2,7 @@
 
 The left camera's texture is cut in two, each half is registered against the right camera's: no pixel of the left one
 is in both, and no place of the right one. Both measurements are of one rig, whose errors are shared. Its calibration
-states no covariance: it gets that of a calibration by 20 boards, scaled to the row errors that the rig is known to have.
+states no covariance: it gets that of a calibration by 20 boards, scaled to the row errors that it is known to have.
 """
 
 from __future__ import annotations

@@ -124,7 +124,10 @@ def search(data: Any, method: str, run: Callable[..., Row], settings: dict[str, 
     for name, values in settings.items():
         for value in values[1:]:
             tried = best | {name: value}
-            found = run(**tried)
+            try:
+                found = run(**tried)
+            except RuntimeError:  # Open3D's answer to clouds that it has moved out of each other's reach
+                continue
             yield {"method": method, "settings": tried, "recommended": False} | found
             if error_mm(data, found["T"]) < least:
                 best, least = tried, error_mm(data, found["T"])
