@@ -21,6 +21,8 @@ from planish.rig import Rig
 ROUNDING = 2e-6
 #: Shading of 30 % over the image leaves its slope within the low-pass window: second order, far below the grain.
 SHADING_SHARE = 0.03
+#: A mean of one side would be off by the slope of the light over 0.8 deviations of the window; corners hold less yet.
+RIM_SHARE = 0.1
 #: Blocks of one pixel.
 EVERY_PIXEL = Lowpass(2.0, 1, 1)
 
@@ -214,6 +216,16 @@ def test_the_shading_follows_the_cosine_and_the_square_of_the_distance():
     inner = ratio[10:-10, 10:-10]
     # Noise of the points turns the averaged normals by less than a milliradian.
     assert np.nanstd(inner) < 2e-3 * np.nanmean(inner)
+
+
+def test_the_low_pass_follows_the_light_up_to_the_rim():
+    rows, columns = np.indices((60, 80), dtype=np.float32)
+    light = 100 + 0.5 * columns - 0.3 * rows
+    # A rim that runs slantwise, so that nothing cancels along rows or columns.
+    image = np.where(columns + 0.3 * rows > 30, light, np.float32(np.nan))
+    level = EVERY_PIXEL(image)
+    known = np.isfinite(image)
+    assert np.abs(level - light)[known].max() < RIM_SHARE * 0.5 * EVERY_PIXEL.sigma_px
 
 
 def test_where_one_camera_sees_a_highlight_the_other_one_counts():
