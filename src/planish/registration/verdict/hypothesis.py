@@ -203,7 +203,7 @@ def _moved_px(a: Measurement, b: Measurement, members: Matches | None, windows: 
     chosen = windows.agrees & np.isfinite(windows.found_b).all(1)
     if chosen.sum() >= _MIN_WINDOWS or members is None:
         pixels_a, pixels_b, points_a = windows.pixels_a[chosen], windows.found_b[chosen], windows.points_a[chosen]
-        points_b = sample(b.points_sensor, pixels_b.astype(np.float32)).astype(float)
+        points_b = sample(b.points_sensor, pixels_b, nearest_outside=True).astype(float)
     else:
         pixels_a, pixels_b, points_a, points_b = members.pixels_a, members.pixels_b, members.points_a, members.points_b
     if len(pixels_a) == 0:
