@@ -34,7 +34,7 @@ from planish.registration.texture.camera_pattern import (
     pattern_weights,
     split_bands,
 )
-from planish.registration.texture.lowpass import Lowpass
+from planish.registration.texture.lowpass import EVERYWHERE, Lowpass
 from planish.registration.texture.pattern_variances import Moments, StillTexture, pattern_variances
 from planish.registration.texture.photometric import PhotometricOptions
 from planish.registration.tiles import ground_sample_distance
@@ -169,7 +169,7 @@ def _add(sums: PatternSums, measurement: Measurement, options: PhotometricOption
         values[name], shape = seen.value, (seen.value.shape[0], seen.value.shape[1])
         bands = sums.cameras.setdefault(name, (BandSums.of(shape), BandSums.of(shape)))
         counted = counted_blocks(measurement, name)
-        noise, _ = _core.block_sums(seen.variance, -np.inf, np.inf, BLOCK_PX, threads)
+        noise, _ = _core.block_sums(seen.variance, -np.inf, np.inf, EVERYWHERE, BLOCK_PX, threads)
         for band, part, share in zip(bands, split_bands(seen.value), BAND_NOISE, strict=True):
             band.add(part, noise * np.float32(share), counted, threads)
         if name == measurement.organised_on:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from planish import _core
 from planish.measurement import Map
@@ -23,6 +24,8 @@ _REACH_SIGMAS = 4.0
 _THIN = 0.01
 #: What lies to one side of a block never changes its level by more than this share.
 _STEEPEST = 0.5
+#: What the kernels take for a mask that leaves nothing out.
+EVERYWHERE = np.empty((0, 0), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -38,16 +41,21 @@ class Lowpass:
         """Return the low-pass with the largest blocks that it allows."""
         return cls(sigma_px, max(1, round(sigma_px / _SIGMA_BLOCKS)), threads)
 
-    def __call__(self, image: Map, low: float = -np.inf, high: float = np.inf) -> Map:
+    def __call__(
+        self, image: Map, low: float = -np.inf, high: float = np.inf, seen: NDArray[np.bool_] | None = None
+    ) -> Map:
         """Return the mean (h, w) of the pixels with low < value < high around each block; NaN where there are none.
 
-        Normalised convolution (Knutsson and Westin 1993).
+        Where `seen` (H, W) is given, pixels count only there. Normalised convolution (Knutsson and Westin 1993).
         """
-        return self.ratio(*self.sums(image, low, high))
+        return self.ratio(*self.sums(image, low, high, seen))
 
-    def sums(self, image: Map, low: float = -np.inf, high: float = np.inf) -> tuple[Map, Map]:
+    def sums(
+        self, image: Map, low: float = -np.inf, high: float = np.inf, seen: NDArray[np.bool_] | None = None
+    ) -> tuple[Map, Map]:
         """Return sum and number (h, w) of the pixels with low < value < high per block; NaN never counts."""
-        return _core.block_sums(np.ascontiguousarray(image, np.float32), low, high, self.factor, self.threads)
+        where = EVERYWHERE if seen is None else np.ascontiguousarray(seen).view(np.uint8)
+        return _core.block_sums(np.ascontiguousarray(image, np.float32), low, high, where, self.factor, self.threads)
 
     def ratio(self, total: Map, weight: Map) -> Map:
         """Return the low-pass of `total` over that of `weight` (h, w); NaN where there is too little weight.
@@ -91,6 +99,11 @@ class Lowpass:
         """Return every block's central pixel of an image (H, W) or (H, W, C)."""
         half = self.factor // 2
         h, w = self.shape((image.shape[0], image.shape[1]))
+        whole = np.ascontiguousarray(image[half :: self.factor, half :: self.factor])
+        # The last blocks may end before their centre.
+        missing = (h - whole.shape[0], w - whole.shape[1])
+        if not any(missing):
+            return whole
         rows, columns = (
             np.minimum(np.arange(n) * self.factor + half, size - 1)
             for n, size in ((h, image.shape[0]), (w, image.shape[1]))

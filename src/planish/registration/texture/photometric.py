@@ -104,7 +104,7 @@ def _merge(
             view.value, view.variance, level, lowpass.factor, place, lowpass.threads
         )
         # Over the same pixels for all cameras and the light.
-        total, count = lowpass.sums(np.where(measurement.valid, image, np.float32(np.nan)))
+        total, count = lowpass.sums(image, seen=measurement.valid)
         expected = lowpass.ratio(total, count)
         if relative is not None:
             # With I = albedo S, lowpass(I) S / lowpass(S) is S times the local mean of the albedo, weighted by S. Room
