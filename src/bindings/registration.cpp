@@ -131,9 +131,8 @@ planish::JointOptions joint_options(const nb::tuple& options) {
 }
 
 /// Maps a, camera a, maps b: see planish::JointMaps. Returns normal equations of distance and texture, the unbiased
-/// information of both, correlation, number of conflicts, tile gradients (rows, columns, 6 of the
-/// distance and 6 of the texture) and, if asked for, the
-/// residual maps.
+/// information of both, correlation, tile gradients (rows, columns, 6 of the distance and 6 of the texture) and, if
+/// asked for, the residual maps.
 nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
                                  const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
                                  bool with_residuals, int threads) {
@@ -157,8 +156,8 @@ nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& c
     const auto& s = result.sums;
     const double norm = std::sqrt(s.correlation_aa * s.correlation_bb);
     return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_distance_unbiased),
-                          matrix6(s.H_texture_unbiased), norm > 0 ? s.correlation_ab / norm : 0.0, s.conflicts,
-                          tiles.maps(), distances.map(), differences.map());
+                          matrix6(s.H_texture_unbiased), norm > 0 ? s.correlation_ab / norm : 0.0, tiles.maps(),
+                          distances.map(), differences.map());
 }
 
 /// See planish::joint_pull. Returns the pull (rows x columns, 6, 3) of all tiles and their pixels (rows x columns,).

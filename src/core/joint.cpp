@@ -22,7 +22,6 @@ JointSums& JointSums::operator+=(const JointSums& other) {
     correlation_ab += other.correlation_ab;
     correlation_aa += other.correlation_aa;
     correlation_bb += other.correlation_bb;
-    conflicts += other.conflicts;
     return *this;
 }
 
@@ -44,11 +43,7 @@ struct Problem {
 void Problem::pixel(int v, int u, JointSums& sums, Matrix62& tile) const {
     Meeting m;
     if (!meet(a, b, camera, R, t, o, v, u, m)) return;
-    if (m.conflict) {
-        ++sums.conflicts;
-        return;
-    }
-    const auto& [x, in_camera, at, cell, normal_a, normal_b, distance, conflict] = m;
+    const auto& [x, in_camera, at, cell, normal_a, normal_b, distance] = m;
     const Vector6 J = jacobian(x - about, (normal_a + normal_b).normalized());
     const Influence influence = tukey(distance, o.scale_distance);
     const double w = o.weight_distance * influence.weight;

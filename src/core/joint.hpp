@@ -49,7 +49,6 @@ struct JointSums {
     /// `distance` and `texture` it is not inflated by that noise.
     Matrix6 H_distance_unbiased = Matrix6::Zero(), H_texture_unbiased = Matrix6::Zero();
     double correlation_ab = 0, correlation_aa = 0, correlation_bb = 0;
-    std::int64_t conflicts = 0;  ///< points of b that should hide or pierce the surface of a
     JointSums& operator+=(const JointSums& other);
 };
 

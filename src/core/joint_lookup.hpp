@@ -76,10 +76,9 @@ struct Meeting {
     Cell cell;
     Eigen::Vector3d normal_a, normal_b;  ///< in frame a
     double distance = 0;                 ///< along a's normal
-    bool conflict = false;               ///< the surfaces hide or pierce one another here
 };
 
-/// False where the two have nothing in common at pixel (v, u) of b.
+/// False where the two have nothing in common at pixel (v, u) of b, or would hide or pierce one another.
 inline bool meet(const JointMaps& a, const JointMaps& b, const Camera& camera, const Eigen::Matrix3d& R,
                  const Eigen::Vector3d& t, const JointOptions& o, int v, int u, Meeting& m) {
     const float* p = b.points.at(v, u);
@@ -98,8 +97,7 @@ inline bool meet(const JointMaps& a, const JointMaps& b, const Camera& camera, c
     const float* n = b.normals.at(v, u);
     m.normal_b = R * Eigen::Vector3d(n[0], n[1], n[2]);
     m.distance = m.normal_a.dot(m.x - q);
-    m.conflict = std::fabs(m.distance) > o.max_distance || m.normal_a.dot(m.normal_b) < o.min_cosine;
-    return true;
+    return std::fabs(m.distance) <= o.max_distance && m.normal_a.dot(m.normal_b) >= o.min_cosine;
 }
 
 }  // namespace planish

@@ -113,7 +113,7 @@ JointPull joint_pull(const JointMaps& a, const Camera& camera_a, const JointMaps
         for (int v = static_cast<int>(begin) * tile; v < std::min(height, static_cast<int>(end) * tile);
              v += options.stride)
             for (int u = 0; u < width; u += options.stride) {
-                if (!meet(a, b, camera_a, R_a_b, t_a_b, options, v, u, m) || m.conflict) continue;
+                if (!meet(a, b, camera_a, R_a_b, t_a_b, options, v, u, m)) continue;
                 const auto k = static_cast<std::size_t>(v / tile) * result.tile_columns + u / tile;
                 const int off = std::abs(v % tile - tile / 2) + std::abs(u % tile - tile / 2);
                 if (off < nearest[k]) {

@@ -99,7 +99,7 @@ def joint_normal_equations(
     options: tuple[float, float, float, float, float, float, int, int],
     with_residuals: bool,
     threads: int,
-) -> tuple[_Normal, _Normal, F64, F64, float, int, F64, F32, F32]: ...
+) -> tuple[_Normal, _Normal, F64, F64, float, F64, F32, F32]: ...
 def joint_pull(
     maps_a: _Maps,
     camera_a: F64,

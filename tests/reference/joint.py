@@ -45,7 +45,7 @@ def _jacobian(lever, direction):
 
 
 def residuals(maps_a, camera_a, maps_b, T_a_b, about, max_distance, min_cosine):
-    """Residuals of b against a: rows, columns of b, distance with Jacobian, difference with both Jacobians, conflicts.
+    """Residuals of b against a: rows, columns of b, distance with Jacobian, difference with both Jacobians.
 
     The difference is NaN where a texture is unknown.
     """
@@ -65,7 +65,6 @@ def residuals(maps_a, camera_a, maps_b, T_a_b, about, max_distance, min_cosine):
     n_b = normals_b[rows, columns].astype(float) @ R.T
     distance = (n_a * (x - q)).sum(1)
     near = (np.abs(distance) <= max_distance) & ((n_a * n_b).sum(1) >= min_cosine)
-    conflicts = int((~near).sum())
     rows, columns, x, u, v, n_a, n_b, distance = (i[near] for i in (rows, columns, x, u, v, n_a, n_b, distance))
     lever, mean = x - about, n_a + n_b
     J = _jacobian(lever, mean / np.linalg.norm(mean, axis=1, keepdims=True))
@@ -74,7 +73,7 @@ def residuals(maps_a, camera_a, maps_b, T_a_b, about, max_distance, min_cosine):
     J_a = _jacobian(lever, bilinear(gradient_a, u, v) / sigma)
     J_b = _jacobian(lever, gradient_b[rows, columns].astype(float) @ R.T / sigma)
     difference[~(np.isfinite(J_a).all(1) & np.isfinite(J_b).all(1))] = np.nan
-    return rows, columns, distance, J, difference, J_a, J_b, conflicts
+    return rows, columns, distance, J, difference, J_a, J_b
 
 
 def tile_pulls(maps_a, camera_a, maps_b, T_a_b, about, weights, max_distance, min_cosine, tile, step=1e-3):
@@ -88,7 +87,7 @@ def tile_pulls(maps_a, camera_a, maps_b, T_a_b, about, weights, max_distance, mi
             T = np.array(T_a_b)
             T[axis, 3] += sign * step
             found = residuals(maps_a, camera_a, maps_b, T, about, max_distance, min_cosine)
-            rows, columns, d, J, t, J_a, J_b, _ = found
+            rows, columns, d, J, t, J_a, J_b = found
             w_d = weights.distance * tukey(d, weights.scale_distance_mm)
             w_t = weights.texture * tukey(t, weights.scale_texture)
             with np.errstate(invalid="ignore"):

@@ -108,7 +108,6 @@ class Equations:
     points: int
     texture_points: int
     correlation: float
-    conflicts: int
     tile_gradients: Array
     distances: Map
     differences: Map
@@ -159,12 +158,12 @@ def equations(
 ) -> Equations:
     """Return the normal equations of b against a; `weights` None = every residual counts alike (to find the scales)."""
     w = weights or Weights(np.inf, np.inf, 1.0, 1.0)
-    d, t, Hd, Ht, correlation, conflicts, tiles, distances, differences = _core.joint_normal_equations(
+    d, t, Hd, Ht, correlation, tiles, distances, differences = _core.joint_normal_equations(
         a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float),
         _kernel_options(w, max_distance_mm, max_normal_rad, stride, tile_px), residuals, threads,
     )  # fmt: skip
     return Equations(
-        d[0], d[1][0], t[0], t[1][0], Hd, Ht, d[4], t[4], d[2] + t[2], d[3], t[3], correlation, conflicts,
+        d[0], d[1][0], t[0], t[1][0], Hd, Ht, d[4], t[4], d[2] + t[2], d[3], t[3], correlation,
         tiles.reshape(*tiles.shape[:2], 2, 6), distances, differences,
     )  # fmt: skip
 
