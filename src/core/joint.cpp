@@ -1,5 +1,6 @@
 #include "core/joint.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -27,108 +28,168 @@ JointSums& JointSums::operator+=(const JointSums& other) {
 
 namespace {
 
-using Square6 = std::array<Row6, 6>;
+/// Pixels that are added up together, as many lanes as one instruction takes, and pairs (i <= j) of six.
+constexpr int kBatch = 64, kLanes = 8, kPairs = 21;
+/// Pixels whose places are found before they are compared: so long does memory take to answer.
+constexpr int kAhead = 16;
 
-inline void add_product(Square6& sum, float w, const Row6& left, const Row6& right) {
-    for (int i = 0; i < 6; ++i) {
-        const float factor = w * left[i];
-        for (int j = 0; j < 8; ++j) sum[i][j] += factor * right[j];
-    }
-}
+using Lanes = Eigen::Array<float, kLanes, 1>;
+using Column = Eigen::Array<float, kBatch, 1>;
 
-/// Sums over the pixels of one row of one tile: few enough for float32.
-struct Run {
-    struct Kind {
-        Square6 H{}, unbiased{};
-        Row6 g{};
-        float cost = 0, weights = 0, slopes = 0, absolute = 0;
-        int count = 0;
-    };
-    Kind distance, texture;
-    float correlation_ab = 0, correlation_aa = 0, correlation_bb = 0;
+/// Residuals of one kind of up to `kBatch` pixels, in units of their noise, with both sides' derivatives.
+struct Batch {
+    int count = 0;
+    /// x, y, z of the lever; of a's, b's and the mean derivative by a displacement; the residual.
+    std::array<Column, 13> columns;
 
-    void add_to(JointSums& sums, Matrix62& tile, std::array<double, 4>& sizes) const {
-        add(distance, sums.distance, sums.H_distance_unbiased, tile, 0);
-        add(texture, sums.texture, sums.H_texture_unbiased, tile, 1);
-        sums.correlation_ab += correlation_ab;
-        sums.correlation_aa += correlation_aa;
-        sums.correlation_bb += correlation_bb;
-        sizes[0] += distance.count;
-        sizes[1] += distance.absolute;
-        sizes[2] += texture.count;
-        sizes[3] += texture.absolute;
-    }
-
-  private:
-    static void add(const Kind& kind, Normal& sums, Matrix6& unbiased, Matrix62& tile, int column) {
-        if (kind.count == 0) return;
-        for (int i = 0; i < 6; ++i) {
-            sums.g[i] += kind.g[i];
-            tile(i, column) += kind.g[i];
-            for (int j = 0; j < 6; ++j) {
-                sums.H(i, j) += kind.H[i][j];
-                unbiased(i, j) += 0.5 * (kind.unbiased[i][j] + kind.unbiased[j][i]);
-            }
+    Batch() { columns.fill(Column::Zero()); }
+    void add(float residual, const Eigen::Vector3f& lever, const Eigen::Vector3f& a, const Eigen::Vector3f& b,
+             const Eigen::Vector3f& mean) {
+        for (int i = 0; i < 3; ++i) {
+            columns[i][count] = lever[i];
+            columns[3 + i][count] = a[i];
+            columns[6 + i][count] = b[i];
+            columns[9 + i][count] = mean[i];
         }
-        sums.cost += kind.cost;
-        sums.weights += kind.weights;
-        sums.slopes += kind.slopes;
-        sums.count += kind.count;
+        columns[12][count] = residual;
+        ++count;
+    }
+    [[nodiscard]] Lanes lanes(int column, int first) const { return columns[column].segment<kLanes>(first); }
+    /// Derivatives of eight residuals by xi, from those by a displacement in three columns.
+    [[nodiscard]] std::array<Lanes, 6> jacobian(int column, int first) const {
+        const Lanes x = lanes(0, first), y = lanes(1, first), z = lanes(2, first);
+        const Lanes p = lanes(column, first), q = lanes(column + 1, first), s = lanes(column + 2, first);
+        return {y * s - z * q, z * p - x * s, x * q - y * p, p, q, s};
     }
 };
+
+/// Sums over batches, lane by lane.
+struct LaneSums {
+    std::array<Lanes, kPairs> H, unbiased;
+    std::array<Lanes, 6> g;
+    Lanes cost = Lanes::Zero(), weights = Lanes::Zero(), slopes = Lanes::Zero(), absolute = Lanes::Zero();
+    int count = 0;
+
+    LaneSums() {
+        H.fill(Lanes::Zero());
+        unbiased.fill(Lanes::Zero());
+        g.fill(Lanes::Zero());
+    }
+    void add(const Batch& batch, const TileWeight& weight);
+    void add_to(Normal& sums, Matrix6& unbiased_sums, Matrix62& tile, int column, double* sizes) const;
+};
+
+void LaneSums::add(const Batch& batch, const TileWeight& weight) {
+    const float over_scale = 1.0F / (kTukey * weight.scale);
+    const Lanes number = Lanes::LinSpaced(kLanes, 0, kLanes - 1);
+    for (int first = 0; first < batch.count; first += kLanes) {
+        const auto A = batch.jacobian(3, first), B = batch.jacobian(6, first), J = batch.jacobian(9, first);
+        // 1 for pixels, 0 for what an older batch left behind them.
+        const Lanes there = (static_cast<float>(batch.count - first) - number).max(0.0F).min(1.0F);
+        const Lanes r = batch.lanes(12, first), xx = (r * over_scale).square(), y = (1.0F - xx).max(0.0F) * there;
+        const Lanes w = weight.weight * y.square(), wr = w * r;
+        weights += y.square();
+        slopes += y * (1.0F - 5.0F * xx);
+        cost += wr * r;
+        absolute += r.abs() * there;
+        for (int i = 0, pair = 0; i < 6; ++i) {
+            g[i] += wr * J[i];
+            const Lanes wJ = w * J[i], wA = w * A[i], wB = w * B[i];
+            for (int j = i; j < 6; ++j, ++pair) {
+                H[pair] += wJ * J[j];
+                unbiased[pair] += wA * B[j] + wB * A[j];
+            }
+        }
+    }
+    count += batch.count;
+}
+
+double total(const Lanes& lanes) { return lanes.cast<double>().sum(); }
+
+void LaneSums::add_to(Normal& sums, Matrix6& unbiased_sums, Matrix62& tile, int column, double* sizes) const {
+    for (int i = 0, pair = 0; i < 6; ++i) {
+        const double gradient = total(g[i]);
+        sums.g[i] += gradient;
+        tile(i, column) += gradient;
+        for (int j = i; j < 6; ++j, ++pair) {
+            const double plain = total(H[pair]), cross = 0.5 * total(unbiased[pair]);
+            sums.H(i, j) += plain;
+            unbiased_sums(i, j) += cross;
+            if (i != j) {
+                sums.H(j, i) += plain;
+                unbiased_sums(j, i) += cross;
+            }
+        }
+    }
+    sums.cost += total(cost);
+    sums.weights += total(weights);
+    sums.slopes += total(slopes);
+    sums.count += count;
+    sizes[0] += count;
+    sizes[1] += total(absolute);
+}
 
 struct Problem : JointPair {
     using JointPair::JointPair;
     Image<float> distances, differences;
 
-    void pixel(int v, int u, const TileWeight* weights, Run& run) const;
-    void add_texture(int v, int u, const Meeting& m, const Eigen::Vector3f& lever, const TileWeight& weight,
-                     Run& run) const;
+    void add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
+                  std::array<double, 4>& sizes) const;
+    void add_texture(const Meeting& m, Batch& batch, JointSums& sums) const;
 };
 
-/// Adds one residual in units of its noise with its derivatives on both sides; J is their mean.
-inline void add_residual(Run::Kind& sums, float r, const Row6& J, const Row6& J_a, const Row6& J_b,
-                         const TileWeight& weight) {
-    const Influence influence = tukey(r, weight.scale);
-    const float w = weight.weight * influence.weight;
-    sums.weights += influence.weight;
-    sums.slopes += influence.slope;
-    add_product(sums.H, w, J, J);
-    add_product(sums.unbiased, w, J_a, J_b);
-    for (int i = 0; i < 8; ++i) sums.g[i] += w * r * J[i];
-    sums.cost += w * r * r;
-    sums.absolute += std::fabs(r);
-    ++sums.count;
+/// All pixels of a tile: they lie close together in a, too, whichever way it is turned.
+void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
+                       std::array<double, 4>& sizes) const {
+    LaneSums distance, texture;
+    Batch of_distance, of_texture;
+    const auto flush = [&] {
+        distance.add(of_distance, weights[0]);
+        texture.add(of_texture, weights[1]);
+        of_distance.count = of_texture.count = 0;
+    };
+    const int bottom = std::min(b.values.height, top + o.tile), right = std::min(b.values.width, left + o.tile);
+    std::array<Meeting, kAhead> found;
+    int ahead = 0;
+    const auto compare_found = [&] {
+        for (int i = 0; i < ahead; ++i) {
+            Meeting& m = found[i];
+            if (!compare(m)) continue;
+            const float over_sigma = 1.0F / m.sigma, r = m.distance * over_sigma;
+            of_distance.add(r, (m.x - about).cast<float>(), m.normal_a * over_sigma, m.normal_b * over_sigma,
+                            (m.normal_a + m.normal_b).normalized() * over_sigma);
+            if (!distances.empty()) *distances.at(m.v, m.u) = r;
+            add_texture(m, of_texture, sums);
+            if (of_distance.count == kBatch) flush();
+        }
+        ahead = 0;
+    };
+    for (int v = top; v < bottom; v += o.stride)
+        for (int u = left; u < right; u += o.stride) {
+            if (!find(v, u, found[ahead])) continue;
+            prepare(found[ahead]);
+            if (++ahead == kAhead) compare_found();
+        }
+    compare_found();
+    flush();
+    if (distance.count > 0) distance.add_to(sums.distance, sums.H_distance_unbiased, gradients, 0, &sizes[0]);
+    if (texture.count > 0) texture.add_to(sums.texture, sums.H_texture_unbiased, gradients, 1, &sizes[2]);
 }
 
-void Problem::pixel(int v, int u, const TileWeight* weights, Run& run) const {
-    Meeting m;
-    if (!meet(v, u, m)) return;
-    const Eigen::Vector3f lever = (m.x - about).cast<float>();
-    const float over_sigma = 1.0F / m.sigma, r = m.distance * over_sigma;
-    add_residual(run.distance, r, jacobian(lever, (m.normal_a + m.normal_b).normalized() * over_sigma),
-                 jacobian(lever, m.normal_a * over_sigma), jacobian(lever, m.normal_b * over_sigma), weights[0]);
-    if (!distances.empty()) *distances.at(v, u) = r;
-    add_texture(v, u, m, lever, weights[1], run);
-}
-
-void Problem::add_texture(int v, int u, const Meeting& m, const Eigen::Vector3f& lever, const TileWeight& weight,
-                          Run& run) const {
-    const float* pb = b.values.at(v, u);
-    const float value_b = *b.texture.at(v, u), value_a = cubic(a.texture, m.at.x(), m.at.y());
-    const float variance = m.a[joint::variance_texture] + pb[joint::variance_texture];
-    if (std::isnan(value_a + value_b + variance + m.a[joint::gradient] + pb[joint::gradient])) return;
+void Problem::add_texture(const Meeting& m, Batch& batch, JointSums& sums) const {
+    const float* pb = b.values.at(m.v, m.u);
+    const float value_b = *b.texture.at(m.v, m.u), value_a = cubic(a.texture, m.at.x(), m.at.y());
+    const float variance = m.variance_texture + pb[joint::variance_texture];
+    if (std::isnan(value_a + value_b + variance + m.gradient_a[0] + pb[joint::gradient])) return;
     const float over_sigma = 1.0F / std::sqrt(variance), r = (value_a - value_b) * over_sigma;
-    const Eigen::Vector3f gradient_a = vector_of(m.a.data(), joint::gradient).cast<float>();
-    const Eigen::Vector3f gradient_b = R_float * vector_of(pb, joint::gradient).cast<float>();
-    const Row6 J_a = jacobian(lever, gradient_a * over_sigma), J_b = jacobian(lever, gradient_b * over_sigma);
-    Row6 J{};
-    for (int i = 0; i < 8; ++i) J[i] = 0.5F * (J_a[i] + J_b[i]);
-    add_residual(run.texture, r, J, J_a, J_b, weight);
-    run.correlation_ab += value_a * value_b;
-    run.correlation_aa += value_a * value_a;
-    run.correlation_bb += value_b * value_b;
-    if (!differences.empty()) *differences.at(v, u) = r;
+    const Eigen::Vector3f of_a = m.gradient_a * over_sigma;
+    const Eigen::Vector3f of_b =
+        R_float * Eigen::Vector3f(pb[joint::gradient], pb[joint::gradient + 1], pb[joint::gradient + 2]) * over_sigma;
+    batch.add(r, (m.x - about).cast<float>(), of_a, of_b, 0.5F * (of_a + of_b));
+    sums.correlation_ab += value_a * value_b;
+    sums.correlation_aa += value_a * value_a;
+    sums.correlation_bb += value_b * value_b;
+    if (!differences.empty()) *differences.at(m.v, m.u) = r;
 }
 
 }  // namespace
@@ -144,9 +205,8 @@ JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, c
     Problem problem(a, camera_a, b, R_a_b, t_a_b, about, options);
     problem.distances = distances;
     problem.differences = differences;
-    const int width = b.values.width, height = b.values.height;
     JointResult result;
-    const auto [rows, columns] = tile_grid(b, options.tile);
+    const int rows = tile_grid(b, options.tile)[0], columns = tile_grid(b, options.tile)[1];
     const auto tiles = static_cast<std::size_t>(rows) * columns;
     result.tile_rows = rows;
     result.tile_columns = columns;
@@ -156,14 +216,11 @@ JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, c
     result.sums = parallel_sum<JointSums>(result.tile_rows, 1, threads, [&](std::size_t row, std::size_t) {
         JointSums sums;
         const int top = static_cast<int>(row) * options.tile;
-        for (int v = top; v < std::min(height, top + options.tile); v += options.stride)
-            for (int left = 0; left < width; left += options.tile) {
-                const std::size_t k = row * result.tile_columns + left / options.tile;
-                Run run;
-                for (int u = left; u < std::min(width, left + options.tile); u += options.stride)
-                    problem.pixel(v, u, &weights[2 * k], run);
-                if (run.distance.count > 0) run.add_to(sums, result.tile_gradients[k], result.tile_sizes[k]);
-            }
+        for (int column = 0; column < columns; ++column) {
+            const std::size_t k = row * columns + column;
+            problem.add_tile(top, column * options.tile, &weights[2 * k], sums, result.tile_gradients[k],
+                             result.tile_sizes[k]);
+        }
         return sums;
     });
     return result;

@@ -8,19 +8,20 @@
 
 namespace planish {
 
+/// Tukey's biweight is 0 from so many scales on (95 % efficiency under normal noise, Holland and Welsch 1977).
+constexpr float kTukey = 4.685F;
+
 struct Influence {
     float weight;  ///< psi(r) / r
     float slope;   ///< psi'(r)
 };
 
-/// Tukey's biweight: 1 at 0, 0 from 4.685 scales on (95 % efficiency under normal noise, Holland and Welsch 1977).
+/// Tukey's biweight: 1 at 0.
 inline Influence tukey(float residual, float scale) {
-    const float x = residual / (4.685F * scale), xx = x * x;
+    const float x = residual / (kTukey * scale), xx = x * x;
     const float y = 1.0F - xx;
     return y > 0 ? Influence{y * y, y * (1.0F - 5.0F * xx)} : Influence{0, 0};
 }
-
-using Pixel = std::array<float, joint::channels>;
 
 inline Eigen::Vector3d vector_of(const float* pixel, int channel) {
     return {pixel[channel], pixel[channel + 1], pixel[channel + 2]};
@@ -75,13 +76,22 @@ inline Row6 jacobian(const Eigen::Vector3f& lever, const Eigen::Vector3f& direct
             0};
 }
 
+/// Asks for what will be read soon.
+inline void prefetch([[maybe_unused]] const void* place) {
+#if defined(__GNUC__)
+    __builtin_prefetch(place);
+#endif
+}
+
 /// Where a pixel of b, moved into a, meets the surface of a.
 struct Meeting {
+    int v = 0, u = 0;              ///< the pixel of b
     Eigen::Vector3d x, in_camera;  ///< the point of b, in frame a and in a's camera
     Eigen::Vector2d at;            ///< its pixel there
     Cell cell;
-    Pixel a{};                           ///< a's values there, linearly interpolated
     Eigen::Vector3f normal_a, normal_b;  ///< in frame a
+    Eigen::Vector3f gradient_a;          ///< of a's texture
+    float variance_texture = 0;          ///< of a's texture
     float distance = 0;                  ///< along a's normal [mm]
     float sigma = 0;                     ///< its standard deviation [mm]
 };
@@ -99,8 +109,8 @@ struct JointPair {
               const Eigen::Vector3d& t_, const Eigen::Vector3d& about_, const JointOptions& o_)
         : a(a_), b(b_), camera(camera_), R(R_), R_float(R_.cast<float>()), t(t_), about(about_), o(o_) {}
 
-    /// False where the two have nothing in common at pixel (v, u) of b, or would hide or pierce one another.
-    [[nodiscard]] bool meet(int v, int u, Meeting& m) const {
+    /// Finds where pixel (v, u) of b lies in a's image; false where there is nothing to be compared with.
+    [[nodiscard]] bool find(int v, int u, Meeting& m) const {
         const float* p = b.values.at(v, u);
         if (std::isnan(p[2]) || *b.use.at(v, u) == 0) return false;
         m.x = R * vector_of(p, joint::point) + t;
@@ -111,31 +121,56 @@ struct JointPair {
         if (!(m.at.x() >= 1 && m.at.y() >= 1 && m.at.x() < a.values.width - 2 && m.at.y() < a.values.height - 2))
             return false;
         m.cell = Cell(m.at.x(), m.at.y());
-        if (*a.use.at(m.cell.v, m.cell.u) == 0) return false;
-        look_up(m);
+        m.v = v;
+        m.u = u;
+        return *a.use.at(m.cell.v, m.cell.u) != 0;
+    }
+
+    /// Asks for what `compare` reads of a.
+    void prepare(const Meeting& m) const {
+        for (int row = 0; row < 2; ++row) {
+            const float* p = a.values.at(m.cell.v + row, m.cell.u);
+            prefetch(p);
+            prefetch(p + 2 * joint::channels - 1);
+        }
+        for (int row = -1; row < 3; ++row) prefetch(a.texture.at(m.cell.v + row, m.cell.u));
+    }
+
+    /// Looks a's surface up; false where there is none, or the two would hide or pierce one another.
+    [[nodiscard]] bool compare(Meeting& m) const {
+        const float* p = b.values.at(m.v, m.u);
+        const float variance_a = look_up(m);
         if (std::isnan(m.distance)) return false;
         m.normal_b = R_float * Eigen::Vector3f(p[joint::normal], p[joint::normal + 1], p[joint::normal + 2]);
-        m.sigma = std::sqrt(m.a[joint::variance_distance] + p[joint::variance_distance]);
+        m.sigma = std::sqrt(variance_a + p[joint::variance_distance]);
         return std::fabs(m.distance) <= o.max_distance && m.normal_a.dot(m.normal_b) >= o.min_cosine;
     }
 
   private:
     /// The surface between four pixels: half way between the chord through their points, which cuts a curved surface
-    /// off, and their planes, which exceed it by as much (Nagata 2005 for curves: exact to the second order).
-    void look_up(Meeting& m) const {
+    /// off, and their planes, which exceed it by as much: exact to the second order. Returns the variance of a's points
+    /// along the normal.
+    float look_up(Meeting& m) const {
         const auto corners = m.cell.corners(a.values);
-        float planes = 0;
-        Eigen::Vector3f chord = Eigen::Vector3f::Zero();
-        m.a.fill(0);
+        using Four = Eigen::Array4f;
+        // Three times four channels: point and its variance, normal and the texture's variance, gradient.
+        Four normals = Four::Zero(), gradients = Four::Zero(), chord = Four::Zero(), planes = Four::Zero();
+        const Eigen::Array4d x(m.x[0], m.x[1], m.x[2], 0);
         for (int k = 0; k < 4; ++k) {
-            const float *q = corners[k], w = m.cell.w[k];
-            for (int c = 0; c < joint::channels; ++c) m.a[c] += w * q[c];
-            const Eigen::Vector3f off = (m.x - vector_of(q, joint::point)).cast<float>();
-            planes += w * (q[joint::normal] * off[0] + q[joint::normal + 1] * off[1] + q[joint::normal + 2] * off[2]);
+            const float w = m.cell.w[k];
+            const Four q = Four::Map(corners[k]), n = Four::Map(corners[k] + 4), g = Four::Map(corners[k] + 8);
+            const Four off = (x - q.cast<double>()).cast<float>();
+            planes += w * n * off;
             chord += w * off;
+            normals += w * n;
+            gradients += w * g;
         }
-        m.normal_a = {m.a[joint::normal], m.a[joint::normal + 1], m.a[joint::normal + 2]};
-        m.distance = 0.5F * (planes + m.normal_a.dot(chord));
+        const Four chords = normals * chord;
+        m.normal_a = normals.head<3>();
+        m.gradient_a = gradients.head<3>();
+        m.variance_texture = normals[3];
+        m.distance = 0.5F * (planes[0] + planes[1] + planes[2] + chords[0] + chords[1] + chords[2]);
+        return -chord[3];
     }
 };
 

@@ -82,15 +82,15 @@ void Problem::add_texture(int v, int u, const Meeting& m, const TileWeight& weig
     const float* pb = b.values.at(v, u);
     const double value_b = *b.texture.at(v, u);
     const Sloped value_a = cubic_with_slopes(a.texture, m.at.x(), m.at.y());
-    const double variance = m.a[joint::variance_texture] + pb[joint::variance_texture];
-    const double known = value_a.value + value_b + variance + m.a[joint::gradient] + pb[joint::gradient];
+    const double variance = m.variance_texture + pb[joint::variance_texture];
+    const double known = value_a.value + value_b + variance + m.gradient_a[0] + pb[joint::gradient];
     if (std::isnan(known)) return;
     const double sigma = std::sqrt(variance), r = (value_a.value - value_b) / sigma;
     const Influence influence = tukey(static_cast<float>(r), weight.scale);
     if (influence.weight == 0) return;
     const Matrix23 by_point = pixel_by_point(camera, m.in_camera) / sigma;
     const Eigen::Vector3f lever = (m.x - about).cast<float>();
-    const Eigen::Vector3d gradient = vector_of(m.a.data(), joint::gradient) + R * vector_of(pb, joint::gradient);
+    const Eigen::Vector3d gradient = m.gradient_a.cast<double>() + R * vector_of(pb, joint::gradient);
     const Row6 J = jacobian(lever, (0.5 / sigma * gradient).cast<float>());
     pull += outer(J, weight.weight * influence.slope * Eigen::RowVector2d(value_a.du, value_a.dv) * by_point);
     // a's gradient is looked up at the same place, so that it changes too.
@@ -123,7 +123,7 @@ JointPull joint_pull(const JointMaps& a, const Camera& camera_a, const JointMaps
         for (int v = static_cast<int>(begin) * tile; v < std::min(height, static_cast<int>(end) * tile);
              v += options.stride)
             for (int u = 0; u < width; u += options.stride) {
-                if (!problem.meet(v, u, m)) continue;
+                if (!problem.find(v, u, m) || !problem.compare(m)) continue;
                 const auto k = static_cast<std::size_t>(v / tile) * result.tile_columns + u / tile;
                 const int off = std::abs(v % tile - tile / 2) + std::abs(u % tile - tile / 2);
                 if (off < nearest[k]) {

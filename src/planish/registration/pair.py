@@ -210,7 +210,9 @@ def _refined_result(
     threads: int | None,
 ) -> PairResult:
     anchor = first.anchor() if _is_weak(a, b, options.dense) else None
-    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor)
+    # What agrees with a consensus does so within this.
+    within_mm = options.verdict.verify.agree_mm
+    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor, within_mm)
     covariance = noise_covariance(refined) if refined is not None else None
     directions = observability(refined, covariance) if refined is not None and covariance is not None else ()
     drift = first.drift_mm(refined.T_a_b) if refined is not None else 0.0
@@ -242,10 +244,12 @@ def refine_pair(
     threads: int | None = None,
     without: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None),
     anchor: Anchor | None = None,
+    within_mm: float = np.inf,
 ) -> Refined | None:
     """Return the joint refinement of a pair from a coarse transform, or None where the surfaces do not overlap.
 
-    `without` (H, W) of a and of b are pixels that take no part; `anchor` adds what windows of weak textures say.
+    `without` (H, W) of a and of b are pixels that take no part; `anchor` adds what windows of weak textures say. The
+    start is not farther off than `within_mm`.
     """
     options = options or PairOptions()
     extent = overlap_extent(a.measurement, b.measurement, T_a_b, max(options.refine.max_distance_mm))
@@ -254,7 +258,8 @@ def refine_pair(
     centre, radius = extent
     tile = tile_size_px(b.measurement)
     sides_a, sides_b = _without(a.fit_sides, without[0]), _without(b.sides, without[1])
-    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, options.refine, threads, anchor)
+    steps = options.refine.starting_within(within_mm, ground_sample_distance(b.measurement))
+    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, steps, threads, anchor)
 
 
 def _without(sides: Mapping[int, JointSide], mask: NDArray[np.bool_] | None) -> Mapping[int, JointSide]:

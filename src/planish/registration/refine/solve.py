@@ -39,6 +39,17 @@ class RefineOptions(Options):
             raise ValueError("spacing_px and max_distance_mm must have one value per level, at least one")
         return self
 
+    def starting_within(self, distance_mm: float, gsd_mm: float) -> Self:
+        """Return the options for a start that is off by less: without the levels that only lead here from farther.
+
+        Coarse levels see little but slow changes, of which shading has its share.
+        """
+        reach = [n * gsd_mm >= distance_mm for n in self.spacing_px]
+        first = max([i for i, enough in enumerate(reach) if enough], default=0)
+        return self.model_copy(
+            update={"spacing_px": self.spacing_px[first:], "max_distance_mm": self.max_distance_mm[first:]}
+        )
+
 
 @dataclass(frozen=True)
 class Refined:
