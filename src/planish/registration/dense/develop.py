@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.geometry import Array
 from planish.measurement import Map
 from planish.registration.texture.resample import TextureImage
 
@@ -24,12 +25,14 @@ _NOISE_KEY = 5
 
 @dataclass(frozen=True)
 class Development:
-    """One texture image reduced; the centre of pixel (column, row) is (column, row) * pitch_mm.
+    """One texture image reduced by a whole factor.
 
     Parameters
     ----------
-    pitch_mm : float
-        Size of a pixel [mm].
+    image : TextureImage
+        What is reduced.
+    factor : int
+        Pixels of the image along each axis that make one of the development.
     value : ndarray (h, w) float32
         Local contrast over its standard deviation (white noise has variance 1 before averaging), 0 outside `mask`.
     noise : ndarray (h, w) float32
@@ -38,16 +41,24 @@ class Development:
         Where there is texture to be trusted.
     source_px : ndarray (h, w, 2) float32
         Pixel (u, v) of the organising camera; NaN outside the surface.
-    points_sensor : ndarray (h, w, 3) float32
-        Point of the surface [mm]; NaN outside it.
     """
 
-    pitch_mm: float = field(metadata={"unit": "mm"})
+    image: TextureImage
+    factor: int
     value: Map
     noise: Map
     mask: NDArray[np.bool_]
     source_px: Map = field(metadata={"unit": "px"})
-    points_sensor: Map = field(metadata={"unit": "mm"})
+
+    @property
+    def pitch_mm(self) -> float:
+        """Size of a pixel [mm]."""
+        return self.image.pitch_mm * self.factor
+
+    def locate(self, xy: Array, angle_rad: Array) -> tuple[Array, Array, Array]:
+        """Return points, frames and camera pixels of places (N, 2) as `TextureImage.locate` does."""
+        # The centre of a pixel is that of the block of pixels it stands for.
+        return self.image.locate((xy + 0.5) * self.factor - 0.5, angle_rad)
 
 
 def develop(images: Sequence[TextureImage], factor: int) -> tuple[Development, ...]:
@@ -70,9 +81,7 @@ def _reduced(image: TextureImage, factor: int) -> Development:
     mask = mean(known.astype(np.float32)) > _KNOWN
     value, noise = (np.where(mask, mean(values), np.float32(0)) for values in (score, noise))
     # The mean of a block's pixels stands at its centre; NaN in a sum is NaN in one of its terms.
-    return Development(
-        image.pitch_mm * factor, value, noise, mask, mean(image.source_px), mean(image.points_sensor)
-    )  # fmt: skip
+    return Development(image, factor, value, noise, mask, mean(image.source_px))
 
 
 def _scores(image: TextureImage) -> tuple[Map, Map, NDArray[np.bool_]]:

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from pydantic import Field
 
-from planish.geometry import Array
-from planish.measurement import Map
 from planish.options import Options, thread_count
 from planish.registration.dense.develop import Development, develop
 from planish.registration.dense.search import Placement, search
@@ -33,16 +30,6 @@ class DenseOptions(Options):
     search_mm: float = Field(default=24.0, gt=0)
     #: A placement that other than by chance comes second has at least this share of the best one's significance.
     second_share: float = Field(default=0.6, gt=0, le=1)
-
-
-def signal_to_noise(images: Sequence[TextureImage]) -> float:
-    """Return the variance of the texture over that of the cameras' noise (robust, of what is most of the surface)."""
-    values = [np.abs(i.value[i.mask][::7]) for i in images]
-    noises = [i.sigma[i.mask][::7] for i in images]
-    if not sum(map(len, values)):
-        return 0.0
-    spread, noise = 1.4826 * np.median(np.concatenate(values)), np.median(np.concatenate(noises))
-    return float(max((spread / max(noise, 1e-12)) ** 2 - 1, 0.0))
 
 
 @dataclass(frozen=True)
@@ -129,40 +116,13 @@ def _placements(
 
 
 def _as_matches(a: DenseTexture, b: DenseTexture, windows: Windows, angle: float) -> Matches:
-    x_axis_b = np.array([np.cos(angle), -np.sin(angle)])
-    point_a, frame_a, pixel_a = _frames(a, windows.at_a, np.array([1.0, 0.0]))
-    point_b, frame_b, pixel_b = _frames(b, windows.at_b, x_axis_b)
+    # One direction on the part: the x axis of a's development, which b's shows turned back.
+    none = np.zeros(len(windows.at_a))
+    point_a, frame_a, pixel_a = a.development.locate(windows.at_a, none)
+    point_b, frame_b, pixel_b = b.development.locate(windows.at_b, none - angle)
     found = Matches(point_a, point_b, frame_a, frame_b, pixel_a, pixel_b, windows.correlation)
-    known = np.isfinite(point_a).all(1) & np.isfinite(point_b).all(1)
-    known &= np.isfinite(frame_a).all((1, 2)) & np.isfinite(frame_b).all((1, 2)) & np.isfinite(pixel_a + pixel_b).all(1)
-    order = np.flatnonzero(known)
+    order = np.flatnonzero(np.isfinite(point_a + point_b).all(1))
     return found.take(order[np.argsort(-windows.correlation[order], kind="stable")])
-
-
-def _frames(texture: DenseTexture, at: Array, direction: Array) -> tuple[Array, Array, Array]:
-    """Points (n, 3), frames (n, 3, 3) whose orientation is `direction` (2,) of the development, pixels (n, 2)."""
-    step = 3.0
-
-    def sampled(image: Map, offset: tuple[float, float]) -> Array:
-        where = (at + np.asarray(offset)).astype(np.float32)
-        return cv2.remap(
-            image, where[:, :1], where[:, 1:], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
-            borderValue=(np.nan,) * 4,
-        ).reshape(len(at), -1).astype(float)  # fmt: skip
-
-    if len(at) == 0:
-        return np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 2))
-    points = texture.development.points_sensor
-    x = sampled(points, (step, 0)) - sampled(points, (-step, 0))
-    y = sampled(points, (0, step)) - sampled(points, (0, -step))
-    with np.errstate(invalid="ignore"):
-        normal = -np.cross(x, y)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        along = direction[0] * x + direction[1] * y
-        along -= normal * np.einsum("ni,ni->n", normal, along)[:, None]
-        along /= np.linalg.norm(along, axis=1, keepdims=True)
-    frames = np.stack([along, np.cross(normal, along), normal], 2)
-    return sampled(points, (0, 0)), frames, sampled(texture.development.source_px, (0, 0))
 
 
 def _joined(parts: Sequence[Matches]) -> Matches:

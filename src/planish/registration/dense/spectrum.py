@@ -140,7 +140,6 @@ class Rotations:
 
     angles: Array = field(metadata={"unit": "rad"})
     full_turn: int
-    expected_sigma: float
 
 
 #: A rotation is tried if the powers agree as well as this share of the best agreement.
@@ -159,7 +158,6 @@ def plan_rotations(a: Spectrum, b: Spectrum, area_mm2: float) -> Rotations:
     agreement = _over_rotations(ring * a.signal, b.signal)
     share_a, share_b = a.signal / (a.signal + a.noise), b.signal / (b.signal + b.noise)
     weight = np.sqrt(a.weight * b.weight)[:, None]
-    power = np.maximum(_over_rotations(weight * share_a, share_b), 0)
     information = (weight * share_a * share_b).sum(1)
     frequency = np.sqrt((information * a.frequency**2).sum() / max(information.sum(), 1e-30))
     # Mean square distance from the middle of a disc of that area.
@@ -170,7 +168,7 @@ def plan_rotations(a: Spectrum, b: Spectrum, area_mm2: float) -> Rotations:
     circle = np.arange(_ANGLES + 1) * np.pi / _ANGLES
     near = np.interp(angles % np.pi, circle, np.append(agreement, agreement[0]))
     keep = near >= _AGREEMENT * max(float(agreement.max()), 0.0)
-    return Rotations(angles[keep], full, float(np.sqrt(power.max())))
+    return Rotations(angles[keep], full)
 
 
 def _over_rotations(a: Map | Array, b: Map | Array) -> Array:

@@ -14,6 +14,7 @@ from planish.measurement import Map
 from planish.registration.dense.develop import Development
 from planish.registration.dense.search import Placement
 from planish.registration.dense.spectrum import Spectrum
+from planish.registration.texture.sampling import parabola_vertex
 
 #: A window counts where both textures cover this share of it.
 _COVERED = 0.6
@@ -159,16 +160,10 @@ def _peaks(surfaces: Map, still: tuple[Array, Array], radius: int) -> tuple[Arra
     open_ = np.where(shut, np.float32(-2), surfaces)
     best = open_.reshape(n, -1).argmax(1)
     row, column, i = best // side, best % side, np.arange(n)
-
-    def top(minus: Map, middle: Map, plus: Map) -> Array:
-        curvature = minus - 2 * middle + plus
-        vertex = np.where(curvature < 0, 0.5 * (minus - plus) / np.minimum(curvature, -1e-9), 0)
-        return np.clip(vertex, -0.5, 0.5)
-
     r, c = np.clip(row, 1, side - 2), np.clip(column, 1, side - 2)
     middle = surfaces[i, r, c]
-    dx = np.where(c == column, top(surfaces[i, r, c - 1], middle, surfaces[i, r, c + 1]), 0)
-    dy = np.where(r == row, top(surfaces[i, r - 1, c], middle, surfaces[i, r + 1, c]), 0)
+    dx = np.where(c == column, parabola_vertex(surfaces[i, r, c - 1], middle, surfaces[i, r, c + 1]), 0)
+    dy = np.where(r == row, parabola_vertex(surfaces[i, r - 1, c], middle, surfaces[i, r + 1, c]), 0)
     shift = np.column_stack([column - radius + dx, row - radius + dy])
     return shift, surfaces[i, row, column].astype(float), (~shut).sum((1, 2)).astype(float)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planish.geometry import Array
 from planish.measurement import Map
 from planish.registration.texture.resample import TextureImage
+from planish.registration.texture.sampling import parabola_vertex
 
 #: Ratio of the two Gaussians whose difference finds blobs (Marr and Hildreth 1980: close to the Laplacian).
 _RATIO = 1.6
@@ -105,14 +106,8 @@ def _disc(radius_px: float) -> NDArray[np.uint8]:
 
 def _refined(strength: Map, row: NDArray[np.intp], column: NDArray[np.intp]) -> Array:
     """Places (N, 2) of the maxima to fractions of a pixel: a parabola through three pixels along each axis."""
-
-    def offset(before: Map, at: Map, after: Map) -> Map:
-        bend = before - 2 * at + after
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(bend < 0, 0.5 * (before - after) / bend, np.float32(0)).clip(-0.5, 0.5)
-
     # The rim of the surface keeps maxima away from the picture's own rim.
     at = strength[row, column]
-    x = column + offset(strength[row, column - 1], at, strength[row, column + 1])
-    y = row + offset(strength[row - 1, column], at, strength[row + 1, column])
+    x = column + parabola_vertex(strength[row, column - 1], at, strength[row, column + 1])
+    y = row + parabola_vertex(strength[row - 1, column], at, strength[row + 1, column])
     return np.column_stack([x, y]).astype(float)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planish.geometry import Array
 from planish.measurement import Map
 from planish.registration.keypoints.blobs import SmoothTexture
-from planish.registration.keypoints.frames import sample
+from planish.registration.texture.sampling import sample
 
 #: Values of a descriptor.
 LENGTH = 128
@@ -29,8 +29,8 @@ def describe(texture: SmoothTexture, xy: Array, angle: Array, support_scales: fl
     cosine, sine = (f(angle)[:, None].astype(np.float32) for f in (np.cos, np.sin))
     columns = xy[:, :1].astype(np.float32) + cosine * along - sine * across
     rows = xy[:, 1:].astype(np.float32) + sine * along + cosine * across
-    known = sample(texture.mask.astype(np.float32), columns, rows)
-    value = sample(texture.value, columns, rows)
+    places = np.stack([columns, rows], -1)
+    known, value = sample(texture.mask.astype(np.float32), places), sample(texture.value, places)
     share = known * weight
     mean = (value * share).sum(1, keepdims=True) / np.maximum(share.sum(1, keepdims=True), np.float32(1e-6))
     value = (value - mean) * known * np.sqrt(weight)

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from planish.geometry import Array
-from planish.measurement import Map
 from planish.registration.texture.resample import TextureImage
-
-#: OpenCV's remap takes maps of fewer rows than 2^15.
-_MOST_ROWS = 16384
 
 
 @dataclass(frozen=True)
@@ -51,13 +46,3 @@ def places_on_surface(image: TextureImage, xy: Array, angle: Array) -> SurfacePl
     points, frames, pixels = image.locate(xy, angle)
     known = np.isfinite(points[:, 0])
     return SurfacePlaces(xy[known], angle[known], frames[known], points[known], pixels[known])
-
-
-def sample(image: Map, columns: Array | Map, rows: Array | Map) -> Map:
-    """Values (N, S) of an image (h, w) at columns and rows (N, S), linearly interpolated; 0 outside."""
-    out = np.empty(columns.shape, np.float32)
-    at = columns.astype(np.float32), rows.astype(np.float32)
-    for i in range(0, len(out), _MOST_ROWS):
-        block = slice(i, i + _MOST_ROWS)
-        out[block] = cv2.remap(image, at[0][block], at[1][block], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-    return out

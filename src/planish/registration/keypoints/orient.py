@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from planish.geometry import Array
 from planish.measurement import Map
 from planish.registration.keypoints.blobs import SmoothTexture
-from planish.registration.keypoints.frames import sample
+from planish.registration.texture.sampling import parabola_vertex, sample
 
 #: Bins of a histogram of directions, and the smoothing over it [bins]: so wide that it is a mean direction. A narrower
 #: one follows the noise of single gradients.
@@ -41,9 +41,7 @@ def orient(
         at = peak.argmax(1)
         left, right, height = before[rows, at], after[rows, at], peak[rows, at]
         peak[rows, at] = 0.0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            offset = np.nan_to_num(0.5 * (left - right) / (left - 2 * height + right))
-        return (at + offset) * (2 * np.pi / _BINS), height
+        return (at + parabola_vertex(left, height, right)) * (2 * np.pi / _BINS), height
 
     angle, strongest = highest()
     second_angle, height = highest()
@@ -54,10 +52,8 @@ def orient(
 def _histogram(texture: SmoothTexture, xy: Array, orientation_scales: float) -> Array:
     """Smoothed histograms (N, bins) of the gradient's direction around each place, weighted by its length."""
     x, y, weight = _samples(orientation_scales)
-    columns, rows = (xy[:, i : i + 1] + texture.scale_px * offset for i, offset in ((0, x), (1, y)))
-    gx, gy = (
-        sample(np.asarray(cv2.Scharr(texture.value, cv2.CV_32F, *axis)), columns, rows) for axis in ((1, 0), (0, 1))
-    )
+    places = xy[:, None] + texture.scale_px * np.column_stack([x, y])
+    gx, gy = (sample(np.asarray(cv2.Scharr(texture.value, cv2.CV_32F, *axis)), places) for axis in ((1, 0), (0, 1)))
     length = np.hypot(gx, gy) * weight
     at = np.arctan2(gy, gx) * np.float32(_BINS / (2 * np.pi))
     low = np.floor(at)

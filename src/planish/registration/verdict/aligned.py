@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planish.geometry import Array, invert, transform_points
 from planish.measurement import Map, Measurement
 from planish.registration.texture.resample import TextureImage
+from planish.registration.texture.sampling import sample
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,9 @@ def _align_one(own: NDArray[np.bool_], image: TextureImage, b: Side, T_a_b: Arra
     with np.errstate(invalid="ignore"):
         index = index[np.abs(gap) <= gate_mm]
     at = pixels[index].astype(np.float32)
-    drawn = [sample(picture, at) for picture in (np.nan_to_num(b.contrast[0], nan=0.0), b.contrast[1])]
+    drawn = [
+        sample(picture, at, nearest_outside=True) for picture in (np.nan_to_num(b.contrast[0], nan=0.0), b.contrast[1])
+    ]
     known = np.isfinite(drawn[1])
     index, at, drawn = index[known], at[known], [d[known] for d in drawn]
     common = np.zeros(own.shape, bool)
@@ -106,16 +109,3 @@ def _not_yet(image: TextureImage, covered: NDArray[np.bool_]) -> NDArray[np.bool
     # A texture pixel is coarser than a camera pixel: what lies between its samples is held as well.
     covered |= cv2.dilate(held, np.ones((3, 3), np.uint8)) > 0
     return own
-
-
-def sample(picture: Map, xy: Map) -> Map:
-    """Return the values (N, ...) of a picture at places (N, 2) (column, row), linearly interpolated."""
-    if len(xy) == 0:
-        return np.empty((0, *picture.shape[2:]), np.float32)
-    # cv2.remap cannot write more than 32767 rows: the places are laid out as a picture themselves.
-    width = 1024
-    padded = np.zeros((-(-len(xy) // width) * width, 2), np.float32)
-    padded[: len(xy)] = xy
-    maps = padded.reshape(-1, width, 2)
-    drawn = cv2.remap(picture, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(drawn.reshape(len(padded), *picture.shape[2:])[: len(xy)])

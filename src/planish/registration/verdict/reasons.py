@@ -6,22 +6,12 @@ import numpy as np
 
 from planish.registration.result import Direction, RunnerUp
 from planish.registration.texture.resample import TextureImage
+from planish.registration.texture.strength import texture_strength
 from planish.registration.verdict.hypothesis import Hypothesis
 
 #: Share of the texture's variance that is signal, above which a window of some 60 independent cells correlates by
 #: four standard deviations: 4 / sqrt(60) = 0.5.
 _ENOUGH_SIGNAL = 0.5
-
-
-def texture_strength(images: tuple[TextureImage, ...]) -> tuple[float, float]:
-    """Return the standard deviation of the texture and that of its noise, as local contrast."""
-    values = [image.value[image.mask][::7] for image in images if image.mask.any()]
-    sigmas = [image.sigma[image.mask][::7] for image in images if image.mask.any()]
-    if not values:
-        return 0.0, 0.0
-    value, sigma = np.concatenate(values).astype(float), np.concatenate(sigmas).astype(float)
-    # 1.4826 median |x|: sparse specks and scratches are no texture that every overlap would hold.
-    return 1.4826 * float(np.median(np.abs(value))), float(np.sqrt(np.median(sigma**2)))
 
 
 def why_nothing(images_a: tuple[TextureImage, ...], images_b: tuple[TextureImage, ...]) -> str:

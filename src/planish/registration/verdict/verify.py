@@ -20,7 +20,8 @@ from planish.geometry import Array
 from planish.measurement import Map
 from planish.options import Options
 from planish.registration.texture.resample import TextureImage
-from planish.registration.verdict.aligned import Aligned, Side, align, sample
+from planish.registration.texture.sampling import parabola_vertex, sample
+from planish.registration.verdict.aligned import Aligned, Side, align
 
 
 class VerifyOptions(Options):
@@ -146,16 +147,12 @@ def _refined_peak(surface: Array, peak: NDArray[np.intp], search: int) -> Array:
     row, column = np.divmod(peak, reach)
     n = np.arange(len(peak))
 
-    def vertex(before: Array, middle: Array, after: Array) -> Array:
-        bend = before - 2 * middle + after
-        return np.where(bend < 0, 0.5 * (before - after) / np.minimum(bend, -1e-12), 0.0).clip(-0.5, 0.5)
-
     padded = np.pad(surface, ((0, 0), (1, 1), (1, 1)), mode="edge")
     cross = ((0, -1), (0, 1), (-1, 0), (1, 0))
     left, right, above, below = (padded[n, row + 1 + dr, column + 1 + dc] for dr, dc in cross)
     top = padded[n, row + 1, column + 1]
     return np.column_stack(
-        [column - search + vertex(left, top, right), row - search + vertex(above, top, below)]
+        [column - search + parabola_vertex(left, top, right), row - search + parabola_vertex(above, top, below)]
     )  # fmt: skip
 
 
@@ -165,7 +162,7 @@ def _places(
     """Cell, point of a, pixels of a and b and pixel of b at the peak, per window of a chart."""
     image, (row, column) = chart.image, centre.T
     cell = ((number * _CELLS + row // window) * _CELLS + column // window).astype(np.int64)
-    found = sample(chart.source_b, (centre[:, ::-1] + offset_px).astype(np.float32))
+    found = sample(chart.source_b, centre[:, ::-1] + offset_px, nearest_outside=True)
     return (
         cell,
         image.points_sensor[row, column].astype(float),
