@@ -28,7 +28,7 @@ RESIDUAL_TOLERANCE = 2e-4
 SUM_TOLERANCE = 1e-4
 #: On planes the distance is linear in xi: what is left is the rounding of float32 points over the step.
 DISTANCE_JACOBIAN_TOLERANCE = 1e-3
-#: The texture's Jacobian is the mean of both sides' gradients, 0.1 mm apart here in a texture smoothed by 5 mm; the
+#: The texture's Jacobian is the mean of both sides' gradients, 0.1 mm apart here in a texture smoothed by 6.5 mm; the
 #: look-up's own derivative is that of one side. Central differences and linear look-up keep 98 % of such a gradient.
 TEXTURE_JACOBIAN_TOLERANCE = 0.04
 #: 1 mm and 0.3 degrees off, about the centre of the overlap.
@@ -152,10 +152,10 @@ def test_the_jacobian_of_the_distance_is_its_derivative(bend):
 
 
 def smooth_side(m):
-    """A measurement whose texture is smoothed by 4 px."""
+    """A measurement whose texture is smoothed by 5 px."""
     surface, (value, sigma) = fit_surface(m), local_contrast(m)
     side = joint_sides(m, surface, (value, sigma), (1,), PhotometricOptions().shading_mm)[1]
-    smooth = smooth_texture(value, np.isfinite(value), 4.0)
+    smooth = smooth_texture(value, np.isfinite(value), 5.0)
     values = side.values.copy()
     values[..., 7] = sigma**2
     values[..., 8:11] = _core.tangential_gradient(smooth, surface.tangents_sensor, 1)
