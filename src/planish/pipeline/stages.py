@@ -243,8 +243,7 @@ class PairStage:
     @classmethod
     def of(cls, a: View, b: View, options: RegisterOptions, pairs_in_run: int) -> PairStage:
         """Return the pair with the key of its result."""
-        stages = ("match", "dense", "consensus", "refine", "verdict")
-        read = {name: getattr(options, name).model_dump(mode="json") for name in stages}
+        read = options.model_dump(mode="json", exclude={"network"})
         return cls(a, b, options, pairs_in_run, content_key(PAIRS, a.key, b.key, read, pairs_in_run))
 
     @property
