@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from importlib.metadata import version
-from itertools import combinations
 from typing import TypeVar
 
-import cv2
 import numpy as np
 
 from planish.errors import InputError
 from planish.evaluation import prepared as evaluation
 from planish.evaluation.overlap import OverlapEvaluation, evaluate_overlap
+from planish.execution.executor import Threads
 from planish.measurement import Measurement
 from planish.options import thread_count
-from planish.registration.network.adjust import NetworkOptions
+from planish.pipeline.options import RegisterOptions
+from planish.pipeline.stages import centroid
+from planish.pipeline.versions import versions
+from planish.registration.candidates import candidate_pairs
 from planish.registration.network.build import Node, build_network
 from planish.registration.pair import (
     PairOptions,
@@ -37,12 +37,6 @@ Value = TypeVar("Value")
 
 #: Called with the name of a stage, what is done and what is to do.
 Progress = Callable[[str, int, int], None]
-
-
-class RegisterOptions(PairOptions):
-    """Options of the whole registration: of the pairs and of the network."""
-
-    network: NetworkOptions = NetworkOptions()
 
 
 @dataclass(frozen=True)
@@ -130,11 +124,6 @@ def prepare_run(
     return options, _prepare_all(measurements, fixed, pitch, options, count, say)
 
 
-def versions() -> dict[str, str]:
-    """Return the versions that a result depends on."""
-    return {"planish": version("planish"), "numpy": np.__version__, "opencv": cv2.__version__}
-
-
 def _checked(measurements: Sequence[Measurement], reference: str | None) -> list[Measurement]:
     names = [m.name for m in measurements]
     if not names:
@@ -150,24 +139,13 @@ def _checked(measurements: Sequence[Measurement], reference: str | None) -> list
 def _parallel(
     items: Sequence[Item], function: Callable[[Item, int], Value], stage: str, threads: int, say: Progress
 ) -> list[Value]:
-    """Apply function(item, threads of its own) to all items, in order of the items, several at a time.
-
-    Whole items side by side use the processors better than the threads inside one item, much of which is serial.
-    """
-    workers = max(1, min(threads, len(items)))
-    own = max(1, threads // workers)
-    cv2.setNumThreads(own)
-    values: list[Value] = []
+    """Apply function(item, threads of its own) to all items, in order of the items, several at a time."""
+    values: dict[int, Value] = {}
     say(stage, 0, len(items))
-    pool = ThreadPoolExecutor(workers)
-    try:
-        for value in pool.map(lambda item: function(item, own), items):
-            values.append(value)
-            say(stage, len(values), len(items))
-    finally:
-        # An interrupt must not wait for what has not begun.
-        pool.shutdown(cancel_futures=True)
-    return values
+    for index, value in Threads(threads).map(function, items):
+        values[index] = value
+        say(stage, len(values), len(items))
+    return [values[index] for index in range(len(items))]
 
 
 def _prepare_all(
@@ -188,7 +166,7 @@ def _prepare_all(
 def _register_pairs(
     prepared: Mapping[str, Prepared], options: RegisterOptions, threads: int, say: Progress
 ) -> list[PairResult]:
-    tried = list(combinations(sorted(prepared), 2))
+    tried = candidate_pairs({name: item.keypoints for name, item in prepared.items()})
 
     def one(pair: tuple[str, str], own: int) -> PairResult:
         return register_pair(prepared[pair[0]], prepared[pair[1]], options, len(tried), own)
@@ -217,5 +195,4 @@ def _with_overlap(pair: PairResult, overlap: OverlapEvaluation | None) -> PairRe
 
 
 def _node(measurement: Measurement, file: str, sha256: str) -> Node:
-    points = measurement.points_sensor[measurement.valid].astype(float)
-    return Node(measurement.name, file, sha256, points.mean(0) if len(points) else np.zeros(3))
+    return Node(measurement.name, file, sha256, centroid(measurement))

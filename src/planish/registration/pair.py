@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -87,15 +87,25 @@ _PITCH_GSD = 1.5
 REFERENCE_GSD_MM = 0.33
 
 
+def median_gsd(gsds_mm: Iterable[float]) -> float:
+    """Return the ground sample distance of a run [mm per pixel] from those of its measurements (NaN where unknown)."""
+    known = [g for g in gsds_mm if np.isfinite(g)]
+    return float(np.median(known)) if known else REFERENCE_GSD_MM
+
+
 def common_gsd(measurements: Sequence[Measurement]) -> float:
     """Return the median ground sample distance of a run [mm per pixel], so that keypoints of all compare."""
-    known = [g for g in map(ground_sample_distance, measurements) if np.isfinite(g)]
-    return float(np.median(known)) if known else REFERENCE_GSD_MM
+    return median_gsd(map(ground_sample_distance, measurements))
+
+
+def texture_pitch(gsd_mm: float) -> float:
+    """Return the pitch of the texture images [mm] of a run of this ground sample distance [mm per pixel]."""
+    return _PITCH_GSD * gsd_mm
 
 
 def common_pitch(measurements: Sequence[Measurement]) -> float:
     """Return the pitch of the texture images of a run [mm]."""
-    return _PITCH_GSD * common_gsd(measurements)
+    return texture_pitch(common_gsd(measurements))
 
 
 def length_factor(gsd_mm: float) -> float:
@@ -104,6 +114,47 @@ def length_factor(gsd_mm: float) -> float:
     Steps, so that one more measurement does not change every option a little.
     """
     return float(2.0 ** (round(4 * np.log2(gsd_mm / REFERENCE_GSD_MM)) / 4))
+
+
+@dataclass(frozen=True)
+class Textured:
+    """A measurement with its surface, its local contrast (value, sigma) and its texture images."""
+
+    measurement: Measurement
+    surface: Surface
+    contrast: tuple[Map, Map]
+    images: tuple[TextureImage, ...]
+
+
+def draw_texture(
+    measurement: Measurement,
+    pitch_mm: float,
+    options: PairOptions | None = None,
+    threads: int | None = None,
+    fixed: FixedPattern | None = None,
+) -> Textured:
+    """Return surface and texture images of one measurement: all that its keypoints need.
+
+    `fixed` is the pattern of its sensor (`estimate_fixed_patterns`), which is no texture.
+    """
+    options = options or PairOptions()
+    surface = fit_surface(measurement, options.surface, threads)
+    contrast = local_contrast(measurement, options.photometric, surface, fixed, threads)
+    images = texture_images(measurement, surface, contrast, pitch_mm, options.charts, threads)
+    return Textured(measurement, surface, contrast, images)
+
+
+def prepare_textured(
+    item: Textured, keypoints: Keypoints, options: PairOptions | None = None, threads: int | None = None
+) -> Prepared:
+    """Return what pairs need beyond texture images and keypoints: maps for patches and refinement."""
+    options = options or PairOptions()
+    measurement, surface, contrast = item.measurement, item.surface, item.contrast
+    spacings, shading_mm = options.refine.spacing_px, options.photometric.shading_mm
+    sides = joint_sides(measurement, surface, contrast, spacings, shading_mm, threads)
+    fit_sides = _without(sides, held_out_pixels(measurement))
+    patches = patch_images(item.images)
+    return Prepared(measurement, surface, contrast, item.images, patches, keypoints, sides, fit_sides, options.dense)
 
 
 def prepare(
@@ -118,15 +169,8 @@ def prepare(
     `fixed` is the pattern of its sensor (`estimate_fixed_patterns`), which is no texture.
     """
     options = options or PairOptions()
-    surface = fit_surface(measurement, options.surface, threads)
-    contrast = local_contrast(measurement, options.photometric, surface, fixed, threads)
-    images = texture_images(measurement, surface, contrast, pitch_mm, options.charts, threads)
-    keypoints = detect_keypoints(images, options.keypoints)
-    spacings, shading_mm = options.refine.spacing_px, options.photometric.shading_mm
-    sides = joint_sides(measurement, surface, contrast, spacings, shading_mm, threads)
-    fit_sides = _without(sides, held_out_pixels(measurement))
-    patches = patch_images(images)
-    return Prepared(measurement, surface, contrast, images, patches, keypoints, sides, fit_sides, options.dense)
+    textured = draw_texture(measurement, pitch_mm, options, threads, fixed)
+    return prepare_textured(textured, detect_keypoints(textured.images, options.keypoints), options, threads)
 
 
 def register_pair(
