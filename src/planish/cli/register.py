@@ -18,11 +18,13 @@ from planish.cli.evaluate import print_overlap_table
 from planish.errors import InputError
 from planish.evaluation.prepared import Prepared
 from planish.files.cloud import write_registered
+from planish.files.given import GivenFiles, read_given
 from planish.measurement import Measurement
 from planish.options import thread_count
 from planish.pipeline import RegisteredRun, RegisterOptions, register_run
 from planish.registration.result import Registration
 from planish.report import write_report
+from planish.report.network import network_lines
 
 RUN_SCHEMA = "planish.run/1"
 #: Exit code where --require-all finds a measurement that was not tied in.
@@ -43,9 +45,16 @@ def register(
         Path | None, typer.Option("--options", help="JSON file of options that differ from the defaults.")
     ] = None,
     threads: Annotated[int | None, typer.Option(help="Threads; the bytes do not depend on it.")] = None,
+    known_points: Annotated[
+        Path | None, typer.Option(help="CSV file of targets: global coordinates, and those that measurements see.")
+    ] = None,
+    prior: Annotated[Path | None, typer.Option(help="JSON file of a robot's approximate transforms.")] = None,
+    fixed: Annotated[Path | None, typer.Option(help="Mesh or cloud of the part whose frame becomes the world.")] = None,
 ) -> None:
     """Register MEASUREMENTs by their texture: no start value, no order, no neighbours needed."""
-    run = register_files(measurements, out, reference, options_file, threads)
+    run = register_files(
+        measurements, out, reference, options_file, threads, GivenFiles(known_points, prior, fixed)
+    )  # fmt: skip
     write_outputs(run, out, report, cloud, cloud_step, threads)
     print_overlap_table(run.registration)
     loose = print_groups(run.registration)
@@ -54,7 +63,12 @@ def register(
 
 
 def register_files(
-    paths: Sequence[Path], out: Path, reference: str | None, options_file: Path | None, threads: int | None
+    paths: Sequence[Path],
+    out: Path,
+    reference: str | None,
+    options_file: Path | None,
+    threads: int | None,
+    given: GivenFiles | None = None,
 ) -> RegisteredRun:
     """Read, register, and write registration.json and run.json, so that nothing later can lose them."""
     started = time.time()
@@ -64,15 +78,18 @@ def register_files(
     files = find_measurements(paths)
     loaded = [Measurement.load(path) for path in files]
     _require_unique([m.name for m in loaded], files)
+    known = read_given(given or GivenFiles(), [m.name for m in loaded])
     hashes = {m.name: (path.name, storage.sha256(path)) for m, path in zip(loaded, files, strict=True)}
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         tasks = {stage: bar.add_task(stage, total=None) for stage in ("texture", "pairs", "overlap")}
         run = register_run(
-            loaded, options, reference=reference, files=hashes, threads=threads,
+            loaded, options, reference=reference, files=hashes, given=known, threads=threads,
             progress=lambda stage, done, total: bar.update(tasks[stage], completed=done, total=total),
         )  # fmt: skip
     run.registration.save(out / "registration.json")
+    if run.registration.joint is not None:
+        run.registration.joint.save(out / "network.h5")
     storage.write_json(
         out / "run.json",
         {
@@ -133,6 +150,8 @@ def print_groups(registration: Registration) -> bool:
         names = [m.name for m in registration.measurements if m.group == group.id]
         what = "alone" if len(names) == 1 else f"{len(names)} measurements, reference {group.reference}"
         typer.echo(f"group {group.id}: {what}: {', '.join(names)}")
+    for line in network_lines(registration.network):
+        typer.echo(line)
     return len(registration.groups) > 1
 
 

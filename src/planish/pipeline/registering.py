@@ -19,6 +19,7 @@ from planish.measurement import Measurement
 from planish.options import thread_count
 from planish.registration.network.adjust import NetworkOptions
 from planish.registration.network.build import Node, build_network
+from planish.registration.network.given import Given
 from planish.registration.pair import (
     PairOptions,
     Prepared,
@@ -35,6 +36,8 @@ from planish.registration.texture.fixed_pattern import estimate_fixed_patterns
 Item = TypeVar("Item")
 Value = TypeVar("Value")
 
+#: Points of a measurement that are compared with a fixed surface, about.
+NODE_POINTS = 4000
 #: Called with the name of a stage, what is done and what is to do.
 Progress = Callable[[str, int, int], None]
 
@@ -59,6 +62,7 @@ def register(
     options: RegisterOptions | None = None,
     *,
     reference: str | None = None,
+    given: Given | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Registration:
@@ -71,6 +75,8 @@ def register(
     options : RegisterOptions, optional
     reference : str, optional
         Measurement whose frame becomes the world of its group; default the most central one.
+    given : Given, optional
+        Known points, a robot's transforms, a surface of the part: tested, then used.
     threads : int, optional
         Default: all processors. The result does not depend on it.
     progress : callable, optional
@@ -86,7 +92,10 @@ def register(
     InputError
         Where there is no measurement, a name stands twice, or `reference` is none of them.
     """
-    return register_run(measurements, options, reference=reference, threads=threads, progress=progress).registration
+    run = register_run(
+        measurements, options, reference=reference, given=given, threads=threads, progress=progress
+    )  # fmt: skip
+    return run.registration
 
 
 def register_run(
@@ -95,6 +104,7 @@ def register_run(
     *,
     reference: str | None = None,
     files: Mapping[str, tuple[str, str]] | None = None,
+    given: Given | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> RegisteredRun:
@@ -110,8 +120,9 @@ def register_run(
     pairs = [_with_overlap(pair, overlaps.get((pair.a, pair.b))) for pair in pairs]
     nodes = [_node(m, *(files or {}).get(m.name, ("", ""))) for m in ordered]
     registration = build_network(
-        nodes, pairs, options.network, reference=reference, record=options.model_dump(mode="json"), versions=versions()
-    )
+        nodes, pairs, options.network, reference=reference, record=options.model_dump(mode="json"), versions=versions(),
+        given=given,
+    )  # fmt: skip
     return RegisteredRun(registration, prepared, overlaps)
 
 
@@ -218,4 +229,6 @@ def _with_overlap(pair: PairResult, overlap: OverlapEvaluation | None) -> PairRe
 
 def _node(measurement: Measurement, file: str, sha256: str) -> Node:
     points = measurement.points_sensor[measurement.valid].astype(float)
-    return Node(measurement.name, file, sha256, points.mean(0) if len(points) else np.zeros(3))
+    step = max(1, len(points) // NODE_POINTS)
+    centroid = points.mean(0) if len(points) else np.zeros(3)
+    return Node(measurement.name, file, sha256, centroid, points[step // 2 :: step])

@@ -167,7 +167,7 @@ class Registration:
     pairs: tuple[PairResult, ...]
     options: dict[str, Any]
     versions: dict[str, str]
-    network: NetworkSummary = NetworkSummary()
+    network: NetworkSummary = field(default_factory=NetworkSummary)
     #: Covariance of any measurement relative to any other; in `network.h5`, not in the JSON.
     joint: JointCovariances | None = None
 
@@ -311,7 +311,7 @@ class _RegistrationFile(Strict):
     groups: list[_GroupFile]
     measurements: list[_PlacedFile]
     pairs: list[_PairFile]
-    network: NetworkSummary
+    network: NetworkSummary = Field(default_factory=NetworkSummary)
 
     def to_registration(self, subject: str) -> Registration:
         return Registration(

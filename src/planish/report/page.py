@@ -20,6 +20,7 @@ from planish.registration.result import Registration
 from planish.report import text
 from planish.report.figures import histogram_png, matches_png
 from planish.report.html import asset, details, figure, figure_name, html_page
+from planish.report.network import network_section
 from planish.report.overview import overview_png
 from planish.report.pairs import pairs_section
 from planish.report.scene import Scene, build_scene
@@ -114,6 +115,7 @@ def _page(
         "<h2>Pairs</h2>",
         pairs_section(registration, pictures),
         refused_section(registration),
+        network_section(registration.network),
         "<h2>Options and versions</h2>",
         details("options of this run", registration.options),
         details("versions", registration.versions),

@@ -12,7 +12,7 @@ from pydantic import Field
 from planish.geometry import Array
 from planish.options import Options
 from planish.registration.network.batch import adjoints, exponentials, moved_points, shifts
-from planish.registration.network.blocks import BlockCholesky, factor
+from planish.registration.network.blocks import BlockCholesky, Indices, factor
 from planish.registration.network.contradictions import Contradiction, contradictions
 from planish.registration.network.joint import JointCovariance
 from planish.registration.network.relations import Linearised, Relation, Stack, pair_relation
@@ -30,7 +30,7 @@ class NetworkOptions(Options):
     blunder_mm: float = Field(default=0.5, gt=0)
     #: ... if it is also more than this many of its standard deviations.
     blunder_sigma: float = Field(default=6.0, gt=0)
-    #: Known points, a robot's transforms and surfaces state their noise: one of them all is left out by chance this often.
+    #: Known points, a robot's transforms and surfaces state their noise: chance leaves one of them out this often.
     false_alarm: float = Field(default=1e-3, gt=0, lt=1)
 
 
@@ -130,7 +130,7 @@ def adjust_relations(
 _CONVERGED = 1e-9
 
 
-def _step(stack: Stack, lin: Linearised, unknown: Array) -> tuple[BlockCholesky, Array]:
+def _step(stack: Stack, lin: Linearised, unknown: Indices) -> tuple[BlockCholesky, Array]:
     """Return the factor of the normal equations and the step (n, 6)."""
     count = int(unknown.max()) + 1
     a, b = unknown[stack.a], unknown[stack.b]
@@ -143,7 +143,7 @@ def _step(stack: Stack, lin: Linearised, unknown: Array) -> tuple[BlockCholesky,
     return cholesky, cholesky.solve(_right_hand_side(lin, lin.r[:, :, None], a, b, count))[:, :, 0]
 
 
-def _right_hand_side(lin: Linearised, r: Array, a: Array, b: Array, count: int) -> Array:
+def _right_hand_side(lin: Linearised, r: Array, a: Indices, b: Indices, count: int) -> Array:
     """Return J' r (n, 6, m) of whitened r (E, 6, m)."""
     rhs = np.zeros((count, 6, r.shape[2]))
     np.add.at(rhs, a[a >= 0], (np.swapaxes(lin.by_a, 1, 2) @ r)[a >= 0])
@@ -159,7 +159,7 @@ def _result(
     stack: Stack,
     lin: Linearised,
     cholesky: BlockCholesky | None,
-    unknown: Array,
+    unknown: Indices,
     options: NetworkOptions,
 ) -> Adjusted:
     placed = dict(zip(names, T, strict=True))
@@ -167,7 +167,7 @@ def _result(
         zero = {name: np.zeros((6, 6)) for name in names}
         return Adjusted(placed, zero, {}, 1.0, None, None)
     a, b, free = unknown[stack.a], unknown[stack.b], np.flatnonzero(unknown >= 0)
-    shift = common_shifts(stack.relations)
+    shift = common_shifts([item.shifts for item in stack.relations])
     # The network follows the pairs' errors by the gain of the least squares, one mode of a rig at a time.
     moved = np.zeros((len(names), 6, shift.shape[2]))
     moved[free] = cholesky.solve(_right_hand_side(lin, stack.root @ shift, a, b, len(free)))
@@ -198,9 +198,10 @@ def _result(
     )
 
 
-def _hat(cholesky: BlockCholesky, lin: Linearised, a: Array, b: Array) -> Array:
+def _hat(cholesky: BlockCholesky, lin: Linearised, a: Indices, b: Indices) -> Array:
     """Return the whitened covariance (E, 6, 6) of what the network says of each relation."""
     hat = np.zeros((len(a), 6, 6))
+    part: Array
     for i, j, left, right in ((a, a, lin.by_a, lin.by_a), (b, b, lin.by_b, lin.by_b), (a, b, lin.by_a, lin.by_b)):
         at = np.flatnonzero((i >= 0) & (j >= 0))
         part = left[at] @ cholesky.inverse_blocks(i[at], j[at]) @ np.swapaxes(right[at], 1, 2)
@@ -244,14 +245,14 @@ def _free_network(
     return out, moved - along @ np.einsum("nij,nik->jk", weighted, moved)
 
 
-def common_shifts(relations: Sequence[Relation]) -> Array:
+def common_shifts(stated: Sequence[Mapping[str, Array] | None]) -> Array:
     """Return per relation its shifts (E, 6, k) by all modes of all rigs in the group; zero by rigs of others."""
-    modes = {key: len(xi) for item in relations for key, xi in (item.shifts or {}).items()}
+    modes = {key: len(xi) for shift in stated for key, xi in (shift or {}).items()}
     at, count = {}, 0
     for key in sorted(modes):
         at[key], count = count, count + modes[key]
-    out = np.zeros((len(relations), 6, count))
-    for e, item in enumerate(relations):
-        for key, xi in (item.shifts or {}).items():
+    out = np.zeros((len(stated), 6, count))
+    for e, shift in enumerate(stated):
+        for key, xi in (shift or {}).items():
             out[e, :, at[key] : at[key] + len(xi)] = xi.T
     return out

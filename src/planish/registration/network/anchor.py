@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from planish.geometry import Array, difference, invert, transform_points
+from planish.geometry import Array, invert, transform_points
 from planish.registration.network.adjust import Adjusted, NetworkOptions, adjust
 from planish.registration.network.blunders import Consistent, Key, without_blunders
 from planish.registration.network.contradictions import Contradiction
@@ -92,7 +92,8 @@ def adjust_group(
     if T_world_robot is not None:
         T[ROBOT_FRAME] = T_world_robot
         relations += robot_relations(given, list(centroids))
-    datum, not_held = GIVEN_FRAME if is_world else reference, ()
+    datum = GIVEN_FRAME if is_world else reference
+    not_held: tuple[str, ...] = ()
     if given.surface is not None and is_world:
         T, surface_relations, not_held = _on_surface(
             nodes, given.surface, T, first.pairs, centroids, options, relations
@@ -155,14 +156,14 @@ def _on_surface(
     return T, found, not_held
 
 
-#: What nothing holds stays at its start, with this standard deviation: it says so, and the equations can be solved [mm].
+#: What nothing holds stays at its start, and says so by this standard deviation [mm].
 _NOTHING_MM = 1000.0
 
 
 def _stay(hold: SurfaceHold, name: str, T: Mapping[str, Array]) -> tuple[list[Relation], tuple[str, ...]]:
-    """Return a relation that keeps what a surface does not hold of a group where it is, and these directions in words."""
+    """Return a relation that keeps a group where a surface does not hold it, and these directions in words."""
     _, vectors, held = held_directions(hold)
-    free = vectors[:, ~held]
+    free = vectors[:, np.flatnonzero(~held)]
     if not free.shape[1]:
         return [], ()
     arm = np.array([hold.radius_mm] * 3 + [1.0] * 3)
@@ -181,9 +182,3 @@ def _in_words(direction: Array) -> str:
     axis = axis / np.linalg.norm(axis)
     axis = axis if axis[int(np.argmax(np.abs(axis)))] > 0 else -axis
     return f"{'rotation about' if turns else 'shift along'} ({', '.join(f'{x:+.2f}' for x in axis)})"
-
-
-def gap_of(relation: Relation, T_world: Mapping[str, Array]) -> Array:
-    """Return xi (6,) from what the network says to what a relation says, about its point."""
-    predicted = invert(T_world[relation.a]) @ T_world[relation.b]
-    return difference(relation.T_a_b, predicted, relation.point_a)

@@ -1,4 +1,4 @@
-"""The motions of `planish.geometry` for many transforms at once: a network has thousands of pairs, each step all of them."""
+"""The motions of `planish.geometry` for many transforms at once: each step treats thousands of pairs."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def logarithms(T: Array) -> Array:
 
 
 def _series(angle: Array) -> tuple[Array, Array, Array]:
-    """sin x / x, (1 - cos x) / x^2, (x - sin x) / x^3, each (n, 1, 1); by series where the closed forms lose digits."""
+    """Sin x / x, (1 - cos x) / x^2, (x - sin x) / x^3, each (n, 1, 1); by series where the closed forms lose digits."""
     small = angle < SMALL_ANGLE
     x = np.where(small, 1.0, angle)
     a = np.where(small, 1.0, np.sin(x) / x)

@@ -1,6 +1,6 @@
 """Symmetric positive definite equations of 6 x 6 blocks, sparse: factor, solution, chosen blocks of the inverse.
 
-One unknown of six per measurement, one block per pair: a network of n measurements has few of the n^2 blocks. Multifrontal
+Six unknowns per measurement, one block per pair: a network of n measurements has few of the n^2 blocks. Multifrontal
 Cholesky (Duff and Reid 1983) after minimum degree (Tinney and Walker 1967); the inverse where N has blocks by the
 recursion of Takahashi, Fagan and Chin (1973), which never builds the rest of it.
 """
@@ -111,7 +111,7 @@ class BlockCholesky:
 
 
 def factor(n: int, i: Indices, j: Indices, blocks: Array) -> BlockCholesky:
-    """Return the factor of N (n blocks square), the sum of `blocks` (m, 6, 6) at (i, j) and of their transposes at (j, i).
+    """Return the factor of N, n blocks square: the sum of `blocks` (m, 6, 6) at (i, j), and transposed at (j, i).
 
     Raises
     ------
@@ -152,8 +152,8 @@ def _factor_fronts(
             at = SIZE * (1 + int(np.searchsorted(rows, row)))
             F[at : at + SIZE, :SIZE] += block
         for their_rows, U in updates.pop(k, ()):
-            at = _scalars(np.searchsorted(here, their_rows))
-            F[np.ix_(at, at)] += U
+            inside = _scalars(np.searchsorted(here, their_rows))
+            F[np.ix_(inside, inside)] += U
         roots[k] = np.linalg.cholesky(F[:SIZE, :SIZE])
         column = np.linalg.solve(roots[k], F[SIZE:, :SIZE].T).T
         columns.append(column)
@@ -162,7 +162,7 @@ def _factor_fronts(
     return roots, tuple(columns)
 
 
-def _scalars(blocks: NDArray[np.integer]) -> Indices:
+def _scalars(blocks: Indices) -> Indices:
     return np.asarray((SIZE * blocks[:, None] + np.arange(SIZE)).ravel(), np.int64)
 
 
@@ -174,7 +174,9 @@ def _eliminate(n: int, i: Indices, j: Indices) -> tuple[Indices, tuple[Indices, 
         beside[b].add(a)
     queue = [(len(item), v) for v, item in enumerate(beside)]
     heapq.heapify(queue)
-    order, reached, rank = [], [], np.full(n, -1)
+    order: list[int] = []
+    reached: list[list[int]] = []
+    rank = np.full(n, -1, np.int64)
     while queue:
         degree, v = heapq.heappop(queue)
         if rank[v] >= 0 or degree != len(beside[v]):

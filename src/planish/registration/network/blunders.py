@@ -1,4 +1,4 @@
-"""Wrong pairs and wrong inputs out of a network: the worst first, several far apart at once, those blamed for others back.
+"""Wrong pairs and wrong inputs out of a network: the worst first, several far apart at once.
 
 Data snooping (Baarda 1968), repeated. A wrong relation makes its neighbours contradict the others too, so that of those
 near each other only the worst goes at a time, and what went for another's fault comes back in the end.

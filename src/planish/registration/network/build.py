@@ -71,9 +71,9 @@ def build_network(
         names = waiting.pop(0)
         chosen = reference if reference in names else choose_reference(names, pairs)
         assert chosen is not None
-        members, inside, outside = set(names), [], []
-        for pair in pairs:
-            (inside if pair.a in members else outside).append(pair)
+        members = set(names)
+        inside = [p for p in pairs if p.a in members and p.b in members]
+        outside = [p for p in pairs if p.a not in members or p.b not in members]
         anchored = adjust_group([by_name[name] for name in names], chosen, inside, options, given)
         pairs = sorted(outside + anchored.pairs, key=lambda pair: (pair.a, pair.b))
         if anchored.adjusted is None:

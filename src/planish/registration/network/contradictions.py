@@ -29,7 +29,7 @@ class Contradiction:
     chance : float
         Probability of at least this contradiction by noise and calibration.
     redundancy : float
-        Share of its information that others control: 0 where nothing would notice its error, near 1 where it adds nothing.
+        Share of its information that others control: 0 where nothing would notice its error, 1 where it adds none.
     weakest_mm : float or None
         Shift of its point, in the direction that the others control least, that makes one standard deviation of
         `sigma` [mm]; None where a direction is not controlled.

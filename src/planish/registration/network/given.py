@@ -98,7 +98,7 @@ def point_relations(given: Given, T_given: Mapping[str, Array]) -> list[Relation
 
 
 def robot_start(given: Given, T_world: Mapping[str, Array], centroids: Mapping[str, Array]) -> Array | None:
-    """Return T_world_robot (4, 4): that of the measurement whose statement suits most others, so that a few may be wrong."""
+    """Return T_world_robot (4, 4) by the measurement whose statement suits most others: a few may be wrong."""
     names = sorted(set(T_world) & set(given.robot))
     if not names:
         return None

@@ -10,7 +10,6 @@ import numpy as np
 
 from planish.geometry import Array, adjoint, difference, invert, transform_points, translation
 from planish.registration.network.adjust import common_shifts
-from planish.registration.network.relations import pair_relation
 from planish.registration.network.summary import Loop
 from planish.registration.result import PairResult
 
@@ -85,7 +84,7 @@ def walk_error(walk: Sequence[Step], point: Array) -> tuple[Array, Array, Array]
 
     `point` (3,) is given in the frame where the walk starts [mm]; each pair's error is carried there by the adjoint.
     """
-    shifts = common_shifts([pair_relation(step.pair) for step in walk])
+    shifts = common_shifts([step.pair.calibration_shifts for step in walk])
     T, covariance, modes = np.eye(4), np.zeros((6, 6)), np.zeros((6, shifts.shape[2]))
     for step, shift in zip(walk, shifts, strict=True):
         after = T @ step.T_here_there
@@ -100,8 +99,8 @@ def walk_error(walk: Sequence[Step], point: Array) -> tuple[Array, Array, Array]
     return T, covariance, modes
 
 
-def close(loop: Sequence[Step], T_world: Mapping[str, Array]) -> Loop:
-    """Return how well a loop closes, and what the adjustment leaves in its pairs."""
+def close(loop: Sequence[Step], residuals: Mapping[tuple[str, str], float]) -> Loop:
+    """Return how well a loop closes; `residuals` [mm] is what the adjustment leaves in each pair."""
     closing = loop[-1].pair
     assert closing.covariance_point_mm is not None
     T, covariance, modes = walk_error(loop, closing.covariance_point_mm)
@@ -114,7 +113,7 @@ def close(loop: Sequence[Step], T_world: Mapping[str, Array]) -> Loop:
         closure_rad=float(np.linalg.norm(xi[:3])),
         predicted_mm=float(np.sqrt(np.trace(total[3:, 3:]))),
         sigma=float(np.sqrt(xi @ np.linalg.solve(total, xi) / 6)),
-        adjusted_mm=max(residual_mm(step.pair, T_world) for step in loop),
+        adjusted_mm=max(residuals[step.pair.a, step.pair.b] for step in loop),
     )
 
 
@@ -129,7 +128,7 @@ def residual_mm(pair: PairResult, T_world: Mapping[str, Array]) -> float:
 def chain_drift(
     walk: Sequence[Step], name: str, reference: str, T_world: Mapping[str, Array], centroid: Array
 ) -> tuple[float, float]:
-    """Return how far a chain from the reference puts a centroid from its adjusted place, and the sigma of the former."""
+    """Return how far a chain from the reference puts a centroid from its adjusted place, and its sigma [mm]."""
     adjusted = invert(T_world[reference]) @ T_world[name]
     point = np.asarray(transform_points(adjusted, np.asarray(centroid, float)))
     if not walk:

@@ -1,7 +1,7 @@
 """What the network is adjusted to: each relation says something about one transform T_a_b, whitened by its noise.
 
-A pair, a robot's transform, a known point or a fitted surface: they differ only in how many directions they hold, and by
-what. `a` may be a frame that no measurement has (`GIVEN_FRAME`, `ROBOT_FRAME`).
+A pair, a robot's transform, a known point or a fitted surface: they differ only in how many directions they hold, and
+by what. `a` may be a frame that no measurement has (`GIVEN_FRAME`, `ROBOT_FRAME`).
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def whitening(covariance: Array) -> Array:
 class Linearised:
     """Whitened residuals r (E, 6) from the network to the relations, and by how much a motion of a and b lessens them.
 
-    `by_a`, `by_b` (E, 6, 6): change of what the network says, whitened, by xi of a or b about its own centroid in world.
+    `by_a`, `by_b` (E, 6, 6): change of what the network says, whitened, by xi of a or b about its centroid in world.
     """
 
     r: Array

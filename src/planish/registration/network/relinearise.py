@@ -1,4 +1,4 @@
-"""Pairs seen from the network: their joint residuals evaluated where the network puts them, not where each one ended."""
+"""Pairs seen from the network: their joint residuals where the network puts them, not where each one ended."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def quadratic(pair: PairResult, T_a_b: Array) -> tuple[Array, Array]:
     assert pair.T_a_b is not None
     assert pair.covariance_noise is not None
     assert pair.covariance_point_mm is not None
-    W = np.linalg.inv(pair.covariance_noise)
+    W = np.asarray(np.linalg.inv(pair.covariance_noise), np.float64)
     return W, W @ difference(pair.T_a_b, T_a_b, pair.covariance_point_mm)
 
 
@@ -39,7 +39,7 @@ def at_the_network(
         assert pair.covariance_point_mm is not None
         T_a_b = invert(T[pair.a]) @ T[pair.b]
         information, gradient = normal_equations(pair, T_a_b)
-        covariance = np.linalg.inv(information)
+        covariance = np.asarray(np.linalg.inv(information), np.float64)
         optimum = perturb(T_a_b, covariance @ gradient, pair.covariance_point_mm)
         out.append(replace(pair, T_a_b=optimum, covariance_noise=covariance))
     return out

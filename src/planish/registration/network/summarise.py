@@ -39,11 +39,12 @@ def describe_group(
     used = [p for p in anchored.pairs if p.used]
     graph, tree = graph_of(used, names), spanning_tree(names, reference, used)
     edges = [(pair.a, pair.b) for pair in tree.values() if pair is not None]
-    ties = tuple(_tie(pair, adjusted, options) for pair in used)
+    residuals = {(p.a, p.b): residual_mm(p, T) for p in used}
+    ties = tuple(_tie(p, adjusted, residuals[p.a, p.b], options) for p in used)
     tests = _given_tests(anchored, given)
     return NetworkSummary(
         variance_factors={str(number): adjusted.variance_factor} if used else {},
-        loops=tuple(close(loop, T) for loop in fundamental_loops(graph, edges)),
+        loops=tuple(close(loop, residuals) for loop in fundamental_loops(graph, edges)),
         ties=ties,
         places=_places(names, reference, tree, adjusted, centroids),
         given=tests,
@@ -94,12 +95,12 @@ def advise(group_of: Mapping[str, int], pairs: Sequence[PairResult]) -> list[Adv
     return out
 
 
-def _tie(pair: PairResult, adjusted: Adjusted, options: NetworkOptions) -> Tie:
+def _tie(pair: PairResult, adjusted: Adjusted, residual: float, options: NetworkOptions) -> Tie:
     c = adjusted.contradictions[("pair", pair.a, pair.b, "")]
     detectable = None if c.weakest_mm is None else max(options.blunder_mm, options.blunder_sigma * c.weakest_mm)
     return Tie(
         a=pair.a, b=pair.b, redundancy=c.redundancy if c.redundancy > _NONE else 0.0, detectable_mm=detectable,
-        residual_mm=residual_mm(pair, adjusted.T_world_measurement),
+        residual_mm=residual,
     )  # fmt: skip
 
 
@@ -167,7 +168,7 @@ def _given_test(item: Relation, c: Contradiction, used: bool) -> GivenTest | Non
     what = {"point": f"known point {item.label}", "robot": "robot's transform", "surface": "fixed surface"}[item.kind]
     reason = f"the {what} contradicts all others by {c.mm:.2f} mm ({c.sigma:.1f} sigma): ignored"
     return GivenTest(
-        kind=item.kind, measurement=item.b, target=item.label or None, used=used, residual_mm=c.mm,  # type: ignore[arg-type]
+        kind=item.kind, measurement=item.b, target=item.label or None, used=used, residual_mm=c.mm,
         sigma=c.sigma, redundancy=c.redundancy, reason=None if used else reason,
     )  # fmt: skip
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pydantic import Field
+
 from planish.options import Strict
 
 Matrix = list[list[float]]
@@ -12,9 +14,9 @@ Matrix = list[list[float]]
 class Loop(Strict):
     """A closed walk along used pairs: the product of their transforms against no motion at all.
 
-    The closure is that of the pairs as they were measured, at the overlap of the first two; `predicted_mm` is its
-    standard deviation, all directions together; `sigma` the root of its quadratic form over six; `adjusted_mm` the largest
-    residual that the adjustment leaves in one of its pairs.
+    The closure is that of the pairs as they were measured, at the overlap of the first and the last; `predicted_mm` is
+    its standard deviation, all directions together; `sigma` the root of its quadratic form over six; `adjusted_mm` the
+    largest residual that the adjustment leaves in one of its pairs.
     """
 
     measurements: tuple[str, ...]
@@ -42,8 +44,8 @@ class Tie(Strict):
 class Place(Strict):
     """How far a measurement is from the reference of its group, in pairs, and what the way does to it.
 
-    `chain_sigma_mm` is the standard deviation of its place along the most certain chain of pairs, `chain_mm` how far that
-    chain puts it from the adjusted place (drift), `sigma_mm` the standard deviation of the adjusted place.
+    `chain_sigma_mm` is the standard deviation of its place along the most certain chain of pairs, `chain_mm` how far
+    that chain puts it from the adjusted place (drift), `sigma_mm` the standard deviation of the adjusted place.
     """
 
     name: str
@@ -89,7 +91,7 @@ class Frame(Strict):
 class NetworkSummary(Strict):
     """All of it, and the sentences that a reader must not miss."""
 
-    variance_factors: dict[str, float] = {}
+    variance_factors: dict[str, float] = Field(default_factory=dict)
     loops: tuple[Loop, ...] = ()
     ties: tuple[Tie, ...] = ()
     places: tuple[Place, ...] = ()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planish.geometry import Array, perturb, transform_points
@@ -39,7 +40,7 @@ class FixedSurface:
 
 
 def sample_mesh(vertices: Array, faces: Array, most_points: int = 200_000) -> FixedSurface:
-    """Return points of a mesh (V, 3), (F, 3) at the centres of equal parts of its triangles, no part above the pitch."""
+    """Return points of a mesh (V, 3), (F, 3) at the centres of equal parts of its triangles."""
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(cross, axis=1)
@@ -86,7 +87,7 @@ class SurfaceHold:
 
 
 def surface_hold(surface: FixedSurface, points: Array, T_given: Array) -> SurfaceHold | None:
-    """Return what the surface says of points (N, 3) of a measurement at T_given_measurement; None where too few lie on it.
+    """Return what the surface says of points (N, 3) of a measurement at T_given_measurement; None where few lie on it.
 
     Point-to-plane distances (Chen and Medioni 1992) with Tukey's weights at their own robust spread.
     """
@@ -116,8 +117,8 @@ def surface_hold(surface: FixedSurface, points: Array, T_given: Array) -> Surfac
 _FLOOR_MM = 1e-4
 
 
-def held_directions(hold: SurfaceHold) -> tuple[Array, Array, Array]:
-    """Return information along its eigenvectors (6,), these as columns (6, 6) in [radius rad, mm], and which are held."""
+def held_directions(hold: SurfaceHold) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Return information along eigenvectors (6,), these (6, 6) as columns [radius rad, mm], and which are held."""
     arm = np.array([1 / hold.radius_mm] * 3 + [1.0] * 3)
     values, vectors = np.linalg.eigh(hold.information * np.outer(arm, arm))
     return values, vectors, values > 1 / _HELD_MM**2
@@ -127,7 +128,7 @@ def surface_relation(hold: SurfaceHold, name: str, T_given: Array) -> Relation:
     """Return what a surface says of one measurement in the directions that it holds."""
     values, vectors, held = held_directions(hold)
     arm = np.array([1 / hold.radius_mm] * 3 + [1.0] * 3)
-    V, size = vectors[:, held], np.sqrt(values[held])
+    V, size = vectors[:, np.flatnonzero(held)], np.sqrt(values[held])
     xi = arm * (V @ ((V.T @ (arm * hold.gradient)) / values[held]))
     root = np.zeros((6, 6))
     root[: len(size)] = size[:, None] * (V / arm[:, None]).T
