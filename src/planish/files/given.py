@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import csv
+import importlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -177,12 +178,12 @@ def read_fixed_surface(path: Path) -> FixedSurface:
     if not path.is_file() or path.suffix.lower() not in MESHES:
         raise InputError(path, "no such file" if not path.is_file() else "an unknown format", f"one of {MESHES}")
     try:
-        import trimesh
+        trimesh: Any = importlib.import_module("trimesh")
     except ImportError:
         raise InputError("trimesh", "is not installed", "pip install planish[cad]") from None
     try:
         mesh = trimesh.load(path, process=False)
-        vertices = np.asarray(mesh.vertices, float).reshape(-1, 3)
+        vertices = np.asarray(mesh.vertices, np.float64).reshape(-1, 3)
         faces = np.asarray(getattr(mesh, "faces", np.empty((0, 3))), np.int64).reshape(-1, 3)
     except Exception as error:
         raise InputError(path, f"cannot be read ({error})", "a whole mesh or cloud") from None

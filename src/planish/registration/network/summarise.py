@@ -51,10 +51,17 @@ def describe_group(
         frames=_frames(number, anchored),
         warnings=(
             *(f"group {number}: {remark}" for remark in anchored.remarks),
+            *_not_held(number, anchored.not_held),
             *_hanging(ties, graph),
             *(f"{t.kind} of {t.measurement}: {t.reason}" for t in tests if t.reason is not None),
         ),
     )
+
+
+def _not_held(number: int, directions: Sequence[str]) -> list[str]:
+    if not directions:
+        return []
+    return [f"group {number}: not held by the fixed surface, but kept as at the start: {', '.join(directions)}."]
 
 
 def merge(groups: Sequence[NetworkSummary], advice: Sequence[Advice]) -> NetworkSummary:

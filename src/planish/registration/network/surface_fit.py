@@ -39,7 +39,7 @@ class FixedSurface:
         return cKDTree(self.points)
 
 
-def sample_mesh(vertices: Array, faces: Array, most_points: int = 200_000) -> FixedSurface:
+def sample_mesh(vertices: Array, faces: NDArray[np.int64], most_points: int = 200_000) -> FixedSurface:
     """Return points of a mesh (V, 3), (F, 3) at the centres of equal parts of its triangles."""
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
