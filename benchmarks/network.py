@@ -1,7 +1,7 @@
 """The network: wrong pairs named, errors against covariances, growth; on drawn pairs and on rendered captures.
 
     python benchmarks/network.py                    # drawn pairs: blunders, honesty, growth, given inputs; minutes
-    python benchmarks/network.py --rendered small   # captures, measured and registered: 3 x 2 panel, ring of 16, reduced
+    python benchmarks/network.py --rendered small   # captures, measured and registered: 3 x 2 panel, ring, reduced
     python benchmarks/network.py --rendered full    # 8 x 5 panel of 2.4 m x 1.2 m, ring of 16, full resolution
 
 Drawn pairs have the covariances of a plate with 3 % grain and an overlap of a third (networks.py). Rendered captures go
@@ -26,11 +26,18 @@ from render_tables import save_table
 
 Row = dict[str, Any]
 
+#: Columns and rows of a panel, wrong pairs, and how far they are off [mm].
+CASES = ((8, 5, 3, 5.0), (8, 5, 3, 1.0), (8, 5, 10, 5.0), (8, 5, 20, 5.0), (4, 3, 3, 5.0))
+
 
 def errors_mm(truth: Truth, result: Registration) -> list[float]:
-    """Distances of all centroids from their true places in the frame of the reference [mm]."""
-    xi = misplaced(truth, result.measurements, invert(truth.T[result.groups[0].reference]))
-    return [float(np.linalg.norm(x[3:])) for x in xi.values()]
+    """Distances of all centroids from their true places in the frame of their group's reference [mm]."""
+    out = []
+    for group in result.groups:
+        placed = [m for m in result.measurements if m.group == group.id]
+        xi = misplaced(truth, placed, invert(truth.T[group.reference]))
+        out += [float(np.linalg.norm(x[3:])) for x in xi.values()]
+    return out
 
 
 def nees(truth: Truth, result: Registration) -> list[float]:
@@ -71,8 +78,14 @@ def honesty(seeds: int) -> list[Row]:
 
 def blunders(seeds: int) -> list[Row]:
     rows = []
-    for columns, lines, count, size in ((8, 5, 3, 5.0), (8, 5, 3, 1.0), (8, 5, 10, 5.0), (8, 5, 20, 5.0), (4, 3, 3, 5.0)):
-        named = missed = right = 0
+    for columns, lines, count, size in (
+        (8, 5, 3, 5.0),
+        (8, 5, 3, 1.0),
+        (8, 5, 10, 5.0),
+        (8, 5, 20, 5.0),
+        (4, 3, 3, 5.0),
+    ):
+        named = missed = right = apart = 0
         worst = []
         for seed in range(seeds):
             truth = panel(columns, lines, seed)
@@ -80,14 +93,18 @@ def blunders(seeds: int) -> list[Row]:
             wrong = {truth.overlaps[k]: shift(size, [seed, int(k)]) for k in chosen}
             result = build_network(truth.nodes(), draw_pairs(truth, seed, wrong))
             out = unused(result.pairs)
-            named, missed, right = named + len(out & set(wrong)), missed + len(set(wrong) - out), right + len(
-                out - set(wrong)
+            named, missed, right = (
+                named + len(out & set(wrong)),
+                missed + len(set(wrong) - out),
+                right + len(out - set(wrong)),
             )
+            apart += sum(m.group > 0 for m in result.measurements)
             worst.append(max(errors_mm(truth, result)))
         rows.append(
             {
                 "network": f"{columns} x {lines}", "pairs": len(truth.overlaps), "wrong": count, "size_mm": size,
-                "networks": seeds, "named": named, "missed": missed, "right": right, "worst_mm": float(max(worst)),
+                "networks": seeds, "named": named, "missed": missed, "right": right,
+                "apart": apart, "worst_mm": float(max(worst)),
             }
         )  # fmt: skip
     return rows
@@ -119,7 +136,7 @@ def drawn(seeds: int, command: str) -> None:
     found = growth()  # first: peak memory is that of the process
     save_table(
         "network-growth",
-        {"measurements": "measurements", "pairs": "pairs", "seconds": "processor time [s]", "ms": "per measurement [ms]",
+        {"measurements": "measurements", "pairs": "pairs", "seconds": "processor time [s]", "ms": "each [ms]",
          "blocks": "blocks of the factor", "mib": "peak memory of the process [MiB]"},
         found, command, {"seconds": ".2f", "ms": ".1f", "mib": ".0f"},
     )  # fmt: skip
@@ -134,7 +151,8 @@ def drawn(seeds: int, command: str) -> None:
     save_table(
         "network-blunders",
         {"network": "panel", "pairs": "pairs", "wrong": "wrong ones", "size_mm": "off by [mm]", "networks": "drawn",
-         "named": "named", "missed": "missed", "right": "right ones taken out", "worst_mm": "largest error left [mm]"},
+         "named": "named", "missed": "missed", "right": "right ones taken out",
+         "apart": "measurements apart", "worst_mm": "largest error left [mm]"},
         wrong, command, {"size_mm": ".0f", "worst_mm": ".3f"},
     )  # fmt: skip
     for row in [*found, *honest, *wrong]:

@@ -25,9 +25,11 @@ class Truth:
     overlaps: list[tuple[str, str]]
 
     def T_a_b(self, a: str, b: str) -> Array:
+        """Return the true T_a_b."""
         return invert(self.T[a]) @ self.T[b]
 
     def nodes(self, points=None) -> list[Node]:
+        """Return the nodes of the network, with points per name where given."""
         return [Node(n, f"{n}.h5", "0", self.centroids[n], None if points is None else points[n]) for n in self.T]
 
 

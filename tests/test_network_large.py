@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -143,6 +145,38 @@ def test_wrong_pairs_side_by_side_do_not_drag_right_ones_out_with_them():
     wrong = {pair: shift(5.0, [9, k]) for k, pair in enumerate(around[:4])}
     result = build_network(truth.nodes(), draw_pairs(truth, 1, wrong))
     assert unused(result.pairs) == set(wrong)
+
+
+def test_pairs_that_agree_outvote_more_wrong_ones_that_do_not():
+    """A measurement at the rim with five pairs: three wrong, each another way, against two right ones."""
+    truth = panel(4, 3, 1)
+    name = next(n for n in sorted(truth.T) if sum(n in pair for pair in truth.overlaps) == 5)
+    around = [pair for pair in truth.overlaps if name in pair]
+    for seed in range(4):
+        chosen = np.random.default_rng(seed).permutation(5)[:3]
+        wrong = {around[k]: shift(5.0, [seed, int(k), 2]) for k in chosen}
+        result = build_network(truth.nodes(), draw_pairs(truth, seed, wrong))
+        assert unused(result.pairs) == set(wrong)
+        assert len(result.groups) == 1
+
+
+def test_where_nothing_decides_a_measurement_stands_apart_rather_than_wrong():
+    """Three pairs hold a corner, all of them contradict each other: none is used; stronger evidence decides."""
+    truth = panel(4, 3, 1)
+    name = next(n for n in sorted(truth.T) if sum(n in pair for pair in truth.overlaps) == 3)
+    around = [pair for pair in truth.overlaps if name in pair]
+    wrong = {pair: shift(5.0, [k, 4]) for k, pair in enumerate(around[:2])}
+    pairs = draw_pairs(truth, 1, wrong)
+    result = build_network(truth.nodes(), pairs)
+    assert unused(result.pairs) == set(around)
+    assert [m.name for m in result.measurements if m.group == 1] == [name]
+    assert any("none is used" in w or "contradicts" in w for w in result.network.warnings)
+    strong = [replace(p, log10_false_alarms=-200.0) if (p.a, p.b) == around[2] else p for p in pairs]
+    result = build_network(truth.nodes(), strong)
+    assert unused(result.pairs) == set(wrong)
+    (sentence,) = result.network.warnings
+    assert sentence.startswith(f"{name} hangs on one pair")
+    assert "contradict it were taken out" in sentence
 
 
 def test_the_free_datum_changes_covariances_but_no_transform_and_has_the_least_trace():

@@ -17,6 +17,7 @@ from planish.registration.network.contradictions import Contradiction
 from planish.registration.network.groups import find_groups, start_transforms
 from planish.registration.network.joint import JointCovariance
 from planish.registration.network.relations import GIVEN_FRAME, ROBOT_FRAME, Relation
+from planish.registration.network.votes import outvoted
 from planish.registration.result import PairResult
 
 #: Contradictions that differ by less than this share of them are equal: second order, covariances known roughly.
@@ -65,6 +66,7 @@ def without_blunders(
     frames = {name: T for name, T in start.items() if name.startswith("<")}
     refuted: dict[Key, tuple[Relation, Contradiction]] = {}
     spared: set[Key] = set()
+    overruled: set[Key] = set()
     while True:
         kept = [item for item in given if item.key not in refuted]
         adjusted = adjust(_start(names, reference, pairs, frames, start), reference, pairs, centroids, options, kept)
@@ -72,7 +74,15 @@ def without_blunders(
         if not found:
             back = _blameless(adjusted.joint, pairs, names, options, spared)
             if not back:
-                return Consistent(adjusted, _with_final_reasons(adjusted.joint, pairs, names), refuted)
+                changed = outvoted(adjusted, pairs, names, options)
+                if changed is None or ("pair", changed[0].a, changed[0].b, "") in overruled:
+                    return Consistent(adjusted, _with_final_reasons(adjusted.joint, pairs, names), refuted)
+                overruled.add(("pair", changed[0].a, changed[0].b, ""))
+                out = replace(changed[0], used=False, removed_reason=_OUTVOTED if changed[1] else _UNDECIDED)
+                pairs = [out if p is changed[0] else p for p in pairs]
+                if not changed[1]:
+                    return Consistent(None, pairs, refuted)
+                back = {(p.a, p.b) for p in changed[1]}
             pairs = [replace(p, used=True, removed_reason=None) if (p.a, p.b) in back else p for p in pairs]
             spared |= {("pair", a, b, "") for a, b in back}
             continue
@@ -155,6 +165,10 @@ def _taken_out(pair: PairResult, c: Contradiction, equals: Sequence[tuple[str, s
     return replace(pair, used=False, removed_reason=reason)
 
 
+#: Why a pair goes that was kept at first.
+_OUTVOTED = "contradicts the other pairs (by vote): taken out of the network, more of those that contradict it agree"
+_UNDECIDED = "other pairs contradict it, as many and with as much evidence, so that nothing decides: none is used"
+
 #: Pairs that one sentence names before it counts.
 _MOST_NAMED = 3
 
@@ -201,7 +215,7 @@ def _with_final_reasons(
     for pair in pairs:
         if joint is not None and pair.removed_reason is not None and {pair.a, pair.b} <= members:
             mm, sigma = _against(joint, pair)
-            rest = pair.removed_reason.partition(" sigma)")[2]
+            rest = pair.removed_reason.partition(")")[2]
             reason = f"contradicts the other pairs by {mm:.2f} mm ({sigma:.0f} sigma){rest}"
             pair = replace(pair, removed_reason=reason)
         out.append(pair)

@@ -60,6 +60,17 @@ def shortest_walk(graph: Graph, start: str, end: str, without: PairResult | None
     return walk[::-1]
 
 
+def side_of(graph: Graph, start: str, beyond: str) -> list[str]:
+    """Return what is reached from `start` without the pair to `beyond`."""
+    reached, queue = {start}, [start]
+    while queue:
+        here = queue.pop()
+        new = [n for n in graph[here] if n not in reached and (here, n) != (start, beyond)]
+        reached.update(new)
+        queue += new
+    return sorted(reached)
+
+
 def fundamental_loops(graph: Graph, tree: Sequence[tuple[str, str]]) -> list[list[Step]]:
     """Return, for each pair beside the tree, the shortest loop through it; a loop that several share once.
 

@@ -12,13 +12,21 @@ from planish.registration.network.anchor import Anchored
 from planish.registration.network.contradictions import Contradiction
 from planish.registration.network.given import Given
 from planish.registration.network.groups import spanning_tree
-from planish.registration.network.loops import Graph, Step, chain_drift, close, fundamental_loops, graph_of, residual_mm
+from planish.registration.network.loops import (
+    Graph,
+    Step,
+    chain_drift,
+    close,
+    fundamental_loops,
+    graph_of,
+    residual_mm,
+    side_of,
+)
 from planish.registration.network.relations import GIVEN_FRAME, ROBOT_FRAME, Relation
 from planish.registration.network.summary import Advice, Frame, GivenTest, NetworkSummary, Place, Tie
+from planish.registration.network.votes import NO_REDUNDANCY
 from planish.registration.result import PairResult
 
-#: Redundancy below this is rounding: nothing else ties the two together.
-_NONE = 1e-5
 #: Names that one sentence lists before it counts.
 _MOST_NAMED = 6
 
@@ -52,7 +60,7 @@ def describe_group(
         warnings=(
             *(f"group {number}: {remark}" for remark in anchored.remarks),
             *_not_held(number, anchored.not_held),
-            *_hanging(ties, graph),
+            *_hanging(ties, graph, anchored.pairs),
             *(f"{t.kind} of {t.measurement}: {t.reason}" for t in tests if t.reason is not None),
         ),
     )
@@ -106,7 +114,7 @@ def _tie(pair: PairResult, adjusted: Adjusted, residual: float, options: Network
     c = adjusted.contradictions[("pair", pair.a, pair.b, "")]
     detectable = None if c.weakest_mm is None else max(options.blunder_mm, options.blunder_sigma * c.weakest_mm)
     return Tie(
-        a=pair.a, b=pair.b, redundancy=c.redundancy if c.redundancy > _NONE else 0.0, detectable_mm=detectable,
+        a=pair.a, b=pair.b, redundancy=c.redundancy if c.redundancy > NO_REDUNDANCY else 0.0, detectable_mm=detectable,
         residual_mm=residual,
     )  # fmt: skip
 
@@ -135,30 +143,26 @@ def _places(
     return tuple(sorted(out, key=lambda place: place.name))
 
 
-def _hanging(ties: Sequence[Tie], graph: Graph) -> list[str]:
+def _hanging(ties: Sequence[Tie], graph: Graph, pairs: Sequence[PairResult]) -> list[str]:
     """Return a sentence for each pair whose error nothing would notice."""
     out = []
     for tie in ties:
         if tie.redundancy:
             continue
-        side = min((_side(graph, tie.a, tie.b), _side(graph, tie.b, tie.a)), key=lambda s: (len(s), s))
-        listed = ", ".join(side[:_MOST_NAMED])
-        if len(side) > _MOST_NAMED:
-            listed += f" and {len(side) - _MOST_NAMED} more"
+        side = min((side_of(graph, tie.a, tie.b), side_of(graph, tie.b, tie.a)), key=lambda s: (len(s), s))
+        listed = _listed(side)
         what = f"{listed} hangs" if len(side) == 1 else f"{listed} hang"
-        out.append(f"{what} on one pair, {tie.a} and {tie.b}: if it is wrong, nothing would notice.")
+        sentence = f"{what} on one pair, {tie.a} and {tie.b}: if it is wrong, nothing would notice."
+        against = [p for p in pairs if p.removed_reason is not None and (p.a in side) != (p.b in side)]
+        if against:
+            sentence += f" Others that contradict it were taken out: {_listed([f'{p.a} and {p.b}' for p in against])}."
+        out.append(sentence)
     return out
 
 
-def _side(graph: Graph, start: str, beyond: str) -> list[str]:
-    """Return what is reached from `start` without the pair to `beyond`."""
-    reached, queue = {start}, [start]
-    while queue:
-        here = queue.pop()
-        new = [n for n in graph[here] if n not in reached and (here, n) != (start, beyond)]
-        reached.update(new)
-        queue += new
-    return sorted(reached)
+def _listed(items: Sequence[str]) -> str:
+    more = f" and {len(items) - _MOST_NAMED} more" if len(items) > _MOST_NAMED else ""
+    return ", ".join(items[:_MOST_NAMED]) + more
 
 
 def _given_tests(anchored: Anchored, given: Given) -> tuple[GivenTest, ...]:
