@@ -1,9 +1,8 @@
 """Rendered networks: a panel in a grid, and a ring around its rim, measured, registered and compared with the truth.
 
 Full: 40 captures of a panel of 2.4 m x 1.2 m (8 x 5) and 16 around the rim of 6 x 4 of its places, at the paper's
-resolution. By the times of benchmarks/speed.py a capture costs 3 s and a pair up to 3 s of one core: 780 and 120 pairs are
-some 45 minutes and 10 minutes for one seed and one rig, 13 and 5 GiB of measurements. Small: 3 x 2 and the ring at a
-reduced resolution, some minutes.
+resolution. By the times of benchmarks/speed.py a capture costs 3 s and a pair up to 3 s of one core: 780 and 120 pairs
+are some 45 and 10 minutes for one seed and one rig. Small: 3 x 2 and the ring at a reduced resolution, some minutes.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ def scene_of(places: list[tuple[float, float]], seed: int, scale: float) -> Scen
 
 
 def centroid_error(placed: PlacedMeasurement, T_true: Array, normal_world: Array) -> tuple[float, float, float]:
-    """Return the error of the centroid along the surface and along its normal [mm], and the former's predicted sigma."""
+    """Return the error of the centroid along the surface and its normal [mm], and the former's predicted sigma."""
     point = placed.covariance_point_mm
     here = transform_points(invert(placed.T_world_measurement), point)
     e = point - transform_points(T_true, np.asarray(here, float))
