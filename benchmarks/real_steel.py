@@ -4,7 +4,7 @@
 
 Two measurements of shared/data/steel_corner_shiftline, organised on either camera with its own images as the only
 texture: as they are, cropped so that they share less, and with another lamp imitated on one of them: its brightness
-multiplied by a ramp 1 : 4 and an offset added.
+multiplied by a ramp 1 : 4 and an offset added. Then both halves of the texture are compared with each other.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from planish.geometry import Array, invert, rotation_angle, transform_points
 from planish.measurement import Measurement, View, rejection_bit
 from planish.pipeline import MeasureOptions, measure, register
 from planish.sensing.capture.manifest import Capture
+from real_steel_halves import halves_table
 from render_tables import ROOT, save_table
 
 DATA = ROOT.parent / "shared" / "data" / "steel_corner_shiftline"
@@ -88,6 +89,7 @@ def main() -> None:
     formats = {"alarms": ".0f", "deg": ".4f", "mm": ".3f"}
     rows = [{key: row.get(key) for key in columns} for row in rows]
     save_table("real-steel", columns, rows, "python benchmarks/real_steel.py", formats)
+    halves_table(left, right)
 
 
 if __name__ == "__main__":

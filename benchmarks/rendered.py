@@ -33,6 +33,11 @@ class RenderedCapture(Capture):
 
 def measure_scene(scene: Scene, index: int, name: str | None = None) -> Measurement:
     """Render capture `index` of a scene and measure it; errors are those of `measure`."""
+    return measure_rendered(render_scene(scene, index, name))
+
+
+def render_scene(scene: Scene, index: int, name: str | None = None) -> RenderedCapture:
+    """Return capture `index` of a scene, with the true rig."""
     images = render_capture(scene, index, 1)
     name = name or scene.names[index]
     files = {camera: [f"{camera}_{k}" for k in range(len(stack))] for camera, stack in images.items()}
@@ -41,5 +46,10 @@ def measure_scene(scene: Scene, index: int, name: str | None = None) -> Measurem
         schema=SCHEMA, name=name, images=Images(**files), sequence=list(scene.sequence),
         projector_px=scene.rig.projector.size_px,
     )  # fmt: skip
-    capture = RenderedCapture(name, Path(f"{scene.part}.json"), Path(), manifest, images, scene.rig)
-    return replace(measure(capture, threads=1), name=name)
+    return RenderedCapture(name, Path(f"{scene.part}.json"), Path(), manifest, images, scene.rig)
+
+
+def measure_rendered(capture: RenderedCapture, rig: Rig | None = None) -> Measurement:
+    """Measure a rendered capture, with another rig than the true one where it is given."""
+    capture = capture if rig is None else replace(capture, rig=rig)
+    return replace(measure(capture, threads=1), name=capture.name)

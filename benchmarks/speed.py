@@ -18,9 +18,11 @@ from statistics import median
 import cv2
 import numpy as np
 
+from planish.evaluation.prepared import Prepared
 from planish.measurement import Measurement
 from planish.options import thread_count
-from planish.pipeline import measure, register_run
+from planish.pipeline import RegisteredRun, measure, register_run
+from planish.report import write_report
 from planish.sensing.capture.manifest import Capture
 from planish.simulation.render import render_capture
 from planish.simulation.scenes import make_scene
@@ -37,6 +39,13 @@ def timed(function: Callable[[], object], runs: int) -> float:
         function()
         seconds.append(time.perf_counter() - started)
     return median(seconds)
+
+
+def report(run: RegisteredRun, out: Path, threads: int) -> None:
+    """Write the report and its figures as `planish register` does."""
+    out.mkdir(exist_ok=True)
+    prepared = {n: Prepared(p.measurement, p.surface, p.contrast) for n, p in run.prepared.items()}
+    write_report(run.registration, prepared, list(run.overlaps.values()), out, threads=threads)
 
 
 def main() -> None:
@@ -61,6 +70,8 @@ def main() -> None:
         sift = timed(lambda: [cv2.SIFT.create().detectAndCompute(t, None) for t in textures], runs)
         measuring = timed(lambda: [measure(capture, threads=threads) for capture in captures], runs)
         registering = timed(lambda: register_run(measurements, threads=threads), runs)
+        run = register_run(measurements, threads=threads)
+        reporting = timed(lambda: report(run, Path(folder) / "report", threads), runs)
     floor, whole = reading + sift, measuring + registering
     rows = [
         {"what": "render one capture (2 x 14 images, core only)", "seconds": rendering},
@@ -70,6 +81,7 @@ def main() -> None:
         {"what": "register 5 measurements, overlap evaluation included", "seconds": registering,
          "ratio": registering / floor},
         {"what": "files to registration", "seconds": whole, "ratio": whole / floor},
+        {"what": "report and figures", "seconds": reporting, "ratio": reporting / floor},
     ]  # fmt: skip
     for row in rows:
         print(row)

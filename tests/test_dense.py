@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from planish.geometry import compose, exp_so3, invert, transform_points
-from planish.registration.consensus import find_consensus
+from planish.registration.consensus import Search, find_consensus
 from planish.registration.dense.develop import Development
 from planish.registration.dense.match import DenseTexture, match_windows
 from planish.registration.dense.spectrum import analyse, plan_rotations
@@ -71,7 +71,7 @@ def moved(texture, T):
 
 def found(a, b):
     windows = match_windows((a,), (b,), 1.0, threads=1)
-    coarse = find_consensus(windows.matches, threads=1, chance=windows.chance)
+    coarse = find_consensus(windows.matches, threads=1, search=Search(np.inf, windows.chance, windows.tried))
     best = coarse.candidates[0] if coarse.candidates else None
     alarms = log10_false_alarms(best.places if best else 0, coarse.places, coarse.chance, windows.tried)
     return best, alarms

@@ -129,6 +129,26 @@ def test_dust_is_found():
     assert np.var(truth - found) < 0.15 * np.var(truth)
 
 
+def test_dust_on_a_blank_part_is_found_beside_the_response_of_both_cameras():
+    taken = []
+    for number in range(5):
+        m = capture(number)
+        rng = np.random.default_rng([number, 6])
+        views = {}
+        for camera, view in m.views.items():
+            grey = 100 * response(camera, view.mean.shape)
+            grey += rng.standard_normal(grey.shape) * np.sqrt(sheets.NOISE.variance(grey) / 12)
+            views[camera] = replace(view, mean=grey.astype(np.float32))
+        taken.append(replace(m, views=views))
+    estimate, _ = estimate_fixed_patterns(taken)["m00"].cameras["A"].estimate()
+    column, row = DUST_PX
+    around = np.s_[row - 6 : row + 7, column - 6 : column + 7]
+    truth = response("A", estimate.shape)
+    truth = (truth - cv2.GaussianBlur(truth, (0, 0), 1.9))[around]
+    # Nothing but noise of five captures hides it: what remains is the dust's rim in the low-pass.
+    assert np.var(truth - estimate[around]) < 0.1 * np.var(truth)
+
+
 def test_the_textures_correlate_where_they_should_and_not_at_the_same_pixels():
     taken = [capture(i) for i in range(2)]
     fixed = estimate_fixed_patterns(taken)

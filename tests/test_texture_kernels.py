@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from planish import _core
+from planish.registration.texture.lowpass import EVERYWHERE
 from reference import texture as reference
 
 #: float32 sums of some ten terms near 1.
@@ -30,7 +31,12 @@ def both(kernel, twin):
 
 def test_block_sums_leave_out_what_is_dark_saturated_or_unknown():
     image = with_gaps(drawn(1, SHAPE, 0, 260), 2)
-    both(_core.block_sums(image, 10, 250, FACTOR, 2), reference.block_sums(image, 10, 250, FACTOR))
+    both(
+        _core.block_sums(image, 10, 250, EVERYWHERE, FACTOR, 2),
+        reference.block_sums(image, 10, 250, EVERYWHERE, FACTOR),
+    )
+    part = (drawn(3, SHAPE, 0, 1) > 0.3).astype(np.uint8)
+    both(_core.block_sums(image, 10, 250, part, FACTOR, 2), reference.block_sums(image, 10, 250, part, FACTOR))
 
 
 def test_the_kinds_of_a_cameras_images_are_combined_as_defined():
@@ -39,10 +45,11 @@ def test_the_kinds_of_a_cameras_images_are_combined_as_defined():
     inverse = [drawn(20 + k, BLOCKS, 0.008, 0.012) for k in range(3)]
     weight = [drawn(30 + k, BLOCKS, 0, 1) for k in range(3)]
     noise = [drawn(40 + k, BLOCKS, 1, 2) for k in range(9)]
-    args = (images, ranges, inverse, weight, noise, FACTOR, 0.6)
-    kernel = _core.camera_contrast(*args, 2)
-    assert np.isnan(kernel[0]).any()
-    both(kernel, reference.camera_contrast(*args))
+    for seen in (EVERYWHERE, (drawn(50, SHAPE, 0, 1) > 0.3).astype(np.uint8)):
+        args = (images, ranges, seen, inverse, weight, noise, FACTOR, 0.6)
+        kernel = _core.camera_contrast(*args, 2)
+        assert np.isnan(kernel[0]).any()
+        both(kernel, reference.camera_contrast(*args))
 
 
 def test_another_camera_is_read_between_its_pixels_as_defined():
@@ -92,5 +99,5 @@ def test_the_kernels_return_the_same_bytes_for_any_number_of_threads():
     source = drawn(3, (31, 33, 2), 0, 60)
     one, three = (_core.sample_chart(value, sigma, source, 0.6, n) for n in (1, 3))
     assert [m.tobytes() for m in one] == [m.tobytes() for m in three]
-    one, three = (_core.block_sums(value, 0, 1, 4, n) for n in (1, 3))
+    one, three = (_core.block_sums(value, 0, 1, EVERYWHERE, 4, n) for n in (1, 3))
     assert [m.tobytes() for m in one] == [m.tobytes() for m in three]

@@ -12,7 +12,7 @@ import pytest
 import matched
 import sheets
 from planish.geometry import exp_se3, transform_points
-from planish.registration.consensus import CoarseResult, find_consensus
+from planish.registration.consensus import Candidate, CoarseResult, Search, find_consensus
 from planish.registration.pair import prepare, refine_pair
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.result import Direction
@@ -158,8 +158,8 @@ def alarms_by_matches(points_of_members_mm, seed=0):
     matches = matched.pair(np.random.default_rng(seed), 300, ((12, sheets.T_TRUE),))[2]
     matches.points_b[:12, :2] = points_of_members_mm
     matches.points_a[:12] = transform_points(sheets.T_TRUE, matches.points_b[:12])
-    coarse = find_consensus(matches)
-    return log10_by_matches(matches, np.arange(12), sheets.T_TRUE, coarse, 6.0)
+    coarse = find_consensus(matches, search=Search(looked_at_mm=6.0))
+    return log10_by_matches(matches, Candidate(sheets.T_TRUE, np.arange(12), 12), coarse)
 
 
 def test_matches_on_one_piece_of_texture_are_one_coincidence():
@@ -178,9 +178,9 @@ def test_matches_that_lie_on_a_line_because_rims_match_rims_prove_less():
     slid = np.where(np.arange(40) % 5 == 0, 0.0, rng.uniform(-15, 15, 40))
     moved = matches.points_b[:40] + np.column_stack([slid, np.zeros((40, 2))])
     matches.points_a[:40] = transform_points(sheets.T_TRUE, moved)
-    coarse = find_consensus(matches)
+    coarse = find_consensus(matches, search=Search(looked_at_mm=1.0))
     members = np.arange(0, 40, 5)
-    on_a_line = log10_by_matches(matches, members, sheets.T_TRUE, coarse, 1.0)
+    on_a_line = log10_by_matches(matches, Candidate(sheets.T_TRUE, members, len(members)), coarse)
     among_all = log10_false_alarms(8, coarse.places, chance_of_agreement(matches, sheets.T_TRUE, coarse), 1)
     assert among_all < -10
     assert on_a_line > among_all / 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import cv2
 import numpy as np
 
@@ -12,6 +14,7 @@ FINE = 8
 SIZE_PX = (512, 384)
 
 
+@cache
 def texture(contrast, seed=1, blur_px=0.7):
     """Relative brightness on a fine grid, as a lens of `blur_px` shows it."""
     width, height = SIZE_PX

@@ -8,10 +8,13 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cstddef>
+#include <memory>
 #include <stdexcept>
+#include <utility>
 
 #include "core/camera.hpp"
 #include "core/image.hpp"
+#include "core/pages.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -29,15 +32,35 @@ planish::Image<const T> view(const In<T, N>& array) {
             N == 3 ? static_cast<int>(array.shape(N - 1)) : 1};
 }
 
-/// A new array that owns its memory, and a view of it.
+/// What the maps of one capture of two cameras take. Never destroyed: arrays may outlive everything else.
+inline planish::PagePool& page_pool() {
+    static auto* pool = new planish::PagePool(std::size_t{128} << 20U);
+    return *pool;
+}
+
+/// Memory of so many values, not set, and what gives it back.
+template <class T>
+std::pair<T*, nb::capsule> pooled(std::size_t size) {
+    auto pages = std::make_unique<planish::Pages>(page_pool().take(size * sizeof(T)));
+    T* raw = static_cast<T*>(pages->data);
+    nb::capsule owner(pages.release(), [](void* p) noexcept {
+        const std::unique_ptr<planish::Pages> returned(static_cast<planish::Pages*>(p));
+        page_pool().give_back(*returned);
+    });
+    return {raw, owner};
+}
+
+/// A new array that owns its memory, and a view of it; its values are not set.
 template <class T>
 struct Owned {
     planish::Image<T> image;
     nb::capsule owner;
 
-    Owned(int height, int width, int channels)
-        : image{new T[static_cast<std::size_t>(height) * width * channels], height, width, channels},
-          owner(image.data, [](void* p) noexcept { delete[] static_cast<T*>(p); }) {}
+    Owned(int height, int width, int channels) {
+        auto [raw, kept] = pooled<T>(static_cast<std::size_t>(height) * width * channels);
+        image = {raw, height, width, channels};
+        owner = std::move(kept);
+    }
     [[nodiscard]] Out<T, 2> map() const {
         const std::size_t shape[2] = {static_cast<std::size_t>(image.height), static_cast<std::size_t>(image.width)};
         return Out<T, 2>(image.data, 2, shape, owner);

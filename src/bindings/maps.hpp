@@ -8,14 +8,12 @@
 #include <cstddef>
 #include <cstdint>
 #include <initializer_list>
-#include <memory>
 #include <stdexcept>
 #include <type_traits>
 #include <vector>
 
 #include "bindings/arrays.hpp"
 #include "core/image.hpp"
-#include "core/pages.hpp"
 
 template <class T>
 using AnyIn = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;
@@ -25,23 +23,12 @@ template <class T>
 using AnyOut = nb::ndarray<nb::numpy, T>;
 using AnyImage = nb::ndarray<nb::ro, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 
-/// What the maps of one capture of two cameras take. Never destroyed: arrays may outlive everything else.
-inline planish::PagePool& page_pool() {
-    static auto* pool = new planish::PagePool(std::size_t{128} << 20U);
-    return *pool;
-}
-
 /// A new array that Python owns; its values are not set.
 template <class T>
 AnyOut<T> make_array(std::initializer_list<std::size_t> shape) {
     std::size_t size = 1;
     for (const std::size_t n : shape) size *= n;
-    auto pages = std::make_unique<planish::Pages>(page_pool().take(size * sizeof(T)));
-    T* raw = static_cast<T*>(pages->data);
-    nb::capsule owner(pages.release(), [](void* p) noexcept {
-        const std::unique_ptr<planish::Pages> returned(static_cast<planish::Pages*>(p));
-        page_pool().give_back(*returned);
-    });
+    auto [raw, owner] = pooled<T>(size);
     return AnyOut<T>(raw, shape.size(), shape.begin(), owner);
 }
 

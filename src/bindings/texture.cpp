@@ -23,24 +23,30 @@ std::vector<planish::Image<const float>> views(const Maps& maps) {
     return out;
 }
 
-nb::tuple block_sums(const In<float, 2>& image, float low, float high, int factor, int threads) {
+/// An empty view of an array of size 0: everything is seen.
+planish::Image<const unsigned char> seen_view(const In<std::uint8_t, 2>& seen) {
+    return seen.size() > 0 ? view<std::uint8_t, 2>(seen) : planish::Image<const unsigned char>{};
+}
+
+nb::tuple block_sums(const In<float, 2>& image, float low, float high, const In<std::uint8_t, 2>& seen, int factor,
+                     int threads) {
     const auto in = view<float, 2>(image);
     const int height = (in.height + factor - 1) / factor, width = (in.width + factor - 1) / factor;
     Owned<float> sum(height, width, 1), count(height, width, 1);
     {
         nb::gil_scoped_release release;
-        planish::block_sums({in, low, high}, factor, threads, sum.image, count.image);
+        planish::block_sums({in, low, high, seen_view(seen)}, factor, threads, sum.image, count.image);
     }
     return nb::make_tuple(sum.map(), count.map());
 }
 
 /// K images with their ranges (low, high); per image inverse level and weight; K x K maps of the noise.
 nb::tuple camera_contrast(const Maps& images, const std::vector<std::pair<float, float>>& ranges,
-                          const Maps& inverse_level, const Maps& weight, const Maps& noise, int factor, float limit,
-                          int threads) {
+                          const In<std::uint8_t, 2>& seen, const Maps& inverse_level, const Maps& weight,
+                          const Maps& noise, int factor, float limit, int threads) {
     std::vector<planish::Exposed> exposed;
     for (std::size_t k = 0; k < images.size(); ++k)
-        exposed.push_back({view<float, 2>(images[k]), ranges[k].first, ranges[k].second});
+        exposed.push_back({view<float, 2>(images[k]), ranges[k].first, ranges[k].second, seen_view(seen)});
     const planish::ContrastPlan plan{views(inverse_level), views(weight), views(noise), factor, limit};
     Owned<float> value(exposed[0].image.height, exposed[0].image.width, 1);
     Owned<float> variance(exposed[0].image.height, exposed[0].image.width, 1);
@@ -128,9 +134,9 @@ nb::tuple remove_pattern(const In<float, 2>& value, const In<float, 2>& variance
 }  // namespace
 
 void bind_texture(nb::module_& m) {
-    m.def("block_sums", &block_sums, "image"_a, "low"_a, "high"_a, "factor"_a, "threads"_a);
-    m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "inverse_level"_a, "weight"_a, "noise"_a,
-          "factor"_a, "limit"_a, "threads"_a);
+    m.def("block_sums", &block_sums, "image"_a, "low"_a, "high"_a, "seen"_a, "factor"_a, "threads"_a);
+    m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "seen"_a, "inverse_level"_a, "weight"_a,
+          "noise"_a, "factor"_a, "limit"_a, "threads"_a);
     m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "source"_a, "interpolated"_a, "threads"_a);
     m.def("add_to_pattern", &add_to_pattern, "value"_a, "weight"_a, "factor"_a, "sum"_a, "weights"_a, "threads"_a);
     m.def("remove_pattern", &remove_pattern, "value"_a, "variance"_a, "own"_a, "sum"_a, "weight"_a, "prior"_a,

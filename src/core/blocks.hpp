@@ -13,22 +13,6 @@ inline void spread_blocks(const float* blocks, int factor, int width, float* out
         for (const int end = std::min(width, u + factor); u < end; ++u) out[u] = blocks[x];
 }
 
-/// Value at a place between the centres of blocks, by linear interpolation; beyond the outer centres the rim's value.
-inline float between_blocks(const Image<const float>& blocks, int factor, float u, float v) {
-    const auto split = [factor](float pixel, int count, int& index) {
-        const float place = (pixel + 0.5F) / static_cast<float>(factor) - 0.5F;
-        const float held = std::clamp(place, 0.0F, static_cast<float>(count - 1));
-        index = static_cast<int>(held);
-        return held - static_cast<float>(index);
-    };
-    int x = 0, y = 0;
-    const float fx = split(u, blocks.width, x), fy = split(v, blocks.height, y);
-    const float *above = blocks.row(y), *below = blocks.row(std::min(y + 1, blocks.height - 1));
-    const int next = std::min(x + 1, blocks.width - 1);
-    const float a = above[x] + fx * (above[next] - above[x]), b = below[x] + fx * (below[next] - below[x]);
-    return a + fy * (b - a);
-}
-
 /// Rows of pixels between the centres of blocks, by linear interpolation; beyond the outer centres the rim's value.
 class BlockLerp {
   public:

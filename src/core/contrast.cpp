@@ -12,13 +12,23 @@ namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 
+/// The row of what is seen, or of ones.
+const unsigned char* seen_row(const Exposed& exposed, int v, const std::vector<unsigned char>& everything) {
+    return exposed.seen.empty() ? everything.data() : exposed.seen.row(v);
+}
+
 /// The sums of one pixel row: numerator and weight of the mean, and its variance times the squared weight.
 struct Sums {
     std::vector<float> value, weight, variance;
     std::vector<std::vector<float>> known;
+    std::vector<unsigned char> everything;
 
     explicit Sums(int width, std::size_t images)
-        : value(width), weight(width), variance(width), known(images, std::vector<float>(width)) {}
+        : value(width),
+          weight(width),
+          variance(width),
+          known(images, std::vector<float>(width)),
+          everything(width, 1) {}
 };
 
 void add_image(const Exposed& exposed, int v, const float* __restrict inverse, const float* __restrict weight,
@@ -27,9 +37,10 @@ void add_image(const Exposed& exposed, int v, const float* __restrict inverse, c
     float* __restrict known = sums.known[k].data();
     float* __restrict value = sums.value.data();
     float* __restrict total = sums.weight.data();
+    const unsigned char* __restrict seen = seen_row(exposed, v, sums.everything);
     const float low = exposed.low, high = exposed.high;
     for (int u = 0; u < exposed.image.width; ++u) {
-        const bool counts = line[u] > low && line[u] < high;
+        const bool counts = (line[u] > low) & (line[u] < high) & (seen[u] != 0);
         const float w = counts ? weight[u] : 0.0F, grey = counts ? line[u] : 0.0F;
         known[u] = counts ? 1.0F : 0.0F;
         value[u] += w * grey * inverse[u];
@@ -44,14 +55,16 @@ void block_sums(const Exposed& exposed, int factor, int threads, const Image<flo
     const float low = exposed.low, high = exposed.high;
     parallel_for(sum.height, threads, [&](std::size_t first, std::size_t last) {
         std::vector<float> column_sum(image.width), column_count(image.width);
+        const std::vector<unsigned char> everything(image.width, 1);
         for (std::size_t y = first; y < last; ++y) {
             std::fill(column_sum.begin(), column_sum.end(), 0.0F);
             std::fill(column_count.begin(), column_count.end(), 0.0F);
             const int top = static_cast<int>(y) * factor, bottom = std::min(image.height, top + factor);
             for (int v = top; v < bottom; ++v) {
                 const float* __restrict line = image.row(v);
+                const unsigned char* __restrict seen = seen_row(exposed, v, everything);
                 for (int u = 0; u < image.width; ++u) {
-                    const bool counts = line[u] > low && line[u] < high;
+                    const bool counts = (line[u] > low) & (line[u] < high) & (seen[u] != 0);
                     column_sum[u] += counts ? line[u] : 0.0F;
                     column_count[u] += counts ? 1.0F : 0.0F;
                 }

@@ -6,10 +6,12 @@
 
 namespace planish {
 
-/// An image with the grey values that count: above `low` and below `high`; NaN never counts.
+/// An image with the grey values that count: above `low` and below `high`; NaN never counts, nor does what `seen` (of
+/// the image's size, or empty) marks with 0.
 struct Exposed {
     Image<const float> image;
     float low = 0, high = 0;
+    Image<const unsigned char> seen = {};
 };
 
 /// Sum and number of the pixels that count over blocks of `factor` x `factor` pixels, those at the rim smaller.

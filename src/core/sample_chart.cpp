@@ -1,5 +1,6 @@
 #include "core/sample_chart.hpp"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -71,20 +72,29 @@ class Kernels {
     std::vector<Taps> taps_;
 };
 
-/// Map pixels per chart pixel along one axis of the map, at least 1. Of both neighbours the nearer one counts: the
-/// other may lie beyond a jump.
-float stretch_at(const Image<const float>& source, int y, int x, int axis) {
-    const auto step = [&](int dy, int dx) {
-        float nearest = kMaxStretch;
-        for (const int sign : {-1, 1}) {
-            const int row = y + sign * dy, column = x + sign * dx;
-            if (row < 0 || row >= source.height || column < 0 || column >= source.width) continue;
-            const float d = std::fabs(source.at(row, column)[axis] - source.at(y, x)[axis]);
-            if (d < nearest) nearest = d;  // false for NaN
-        }
-        return nearest;
+/// Map pixels per chart pixel along both axes of the map, at least 1, for the pixels of a row of the chart. Of both
+/// neighbours the nearer one counts: the other may lie beyond a jump.
+void stretches(const Image<const float>& source, int y, float* __restrict out) {
+    const int size = 2 * source.width;
+    const float* here = source.row(y);
+    const float* above = y > 0 ? source.row(y - 1) : nullptr;
+    const float* below = y + 1 < source.height ? source.row(y + 1) : nullptr;
+    const auto nearer = [](float nearest, float a, float b) {
+        const float d = std::fabs(a - b);
+        return d < nearest ? d : nearest;  // false for NaN
     };
-    return std::max({1.0F, step(0, 1), step(1, 0)});
+    const auto of = [&](int k, bool left, bool right) {
+        float across = kMaxStretch, down = kMaxStretch;
+        if (left) across = nearer(across, here[k - 2], here[k]);
+        if (right) across = nearer(across, here[k + 2], here[k]);
+        if (above) down = nearer(down, above[k], here[k]);
+        if (below) down = nearer(down, below[k], here[k]);
+        const float larger = across > down ? across : down;
+        return larger > 1.0F ? larger : 1.0F;
+    };
+    for (int k = 0; k < std::min(2, size); ++k) out[k] = of(k, false, k + 2 < size);
+    for (int k = 2; k < size - 2; ++k) out[k] = of(k, true, true);
+    for (int k = std::max(2, size - 2); k < size; ++k) out[k] = of(k, true, false);
 }
 
 /// Sums over a kernel: weighted values, weights, squared weighted errors.
@@ -100,22 +110,16 @@ struct Window {
 
 /// Inside the map and without gaps; NaN where there is one.
 Sums read_whole(const Image<const float>& value, const Image<const float>& sigma, const Window& w) {
-    float values[kFewTaps] = {}, squares[kFewTaps] = {};
+    using Lanes = Eigen::Array<float, kFewTaps, 1>;
+    Lanes values = Lanes::Zero(), squares = Lanes::Zero();
     for (int j = 0; j < w.down.count; ++j) {
-        const float* __restrict line = value.at(w.top + j, w.left);
-        const float* __restrict errors = sigma.at(w.top + j, w.left);
         const float weight = w.down.weight[j];
-        for (int i = 0; i < kFewTaps; ++i) {
-            values[i] += weight * line[i];
-            squares[i] += (weight * errors[i]) * (weight * errors[i]);
-        }
+        values += weight * Eigen::Map<const Lanes>(value.at(w.top + j, w.left));
+        const Lanes error = weight * Eigen::Map<const Lanes>(sigma.at(w.top + j, w.left));
+        squares += error * error;
     }
-    Sums sums{0, 1, 0};
-    for (int i = 0; i < kFewTaps; ++i) {
-        sums.value += w.across.weight[i] * values[i];
-        sums.squares += w.across.weight[i] * w.across.weight[i] * squares[i];
-    }
-    return sums;
+    const Eigen::Map<const Lanes> across(w.across.weight);
+    return {(across * values).sum(), 1, (across * across * squares).sum()};
 }
 
 /// What is known of the kernel's window.
@@ -148,9 +152,11 @@ void sample_chart(const Image<const float>& value, const Image<const float>& sig
                   float interpolated, int threads, const Image<float>& out_value, const Image<float>& out_sigma) {
     constexpr float nan = std::numeric_limits<float>::quiet_NaN();
     const auto right = static_cast<float>(value.width - 1), bottom = static_cast<float>(value.height - 1);
-    const Kernels kernels;
+    static const Kernels kernels;
     parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {
-        for (auto y = static_cast<int>(first); y < static_cast<int>(last); ++y)
+        std::vector<float> stretch(static_cast<std::size_t>(2) * source.width);
+        for (auto y = static_cast<int>(first); y < static_cast<int>(last); ++y) {
+            stretches(source, y, stretch.data());
             for (int x = 0; x < source.width; ++x) {
                 float& sampled = *out_value.at(y, x);
                 float& deviation = *out_sigma.at(y, x);
@@ -158,13 +164,14 @@ void sample_chart(const Image<const float>& value, const Image<const float>& sig
                 const float *place = source.at(y, x), u = place[0], v = place[1];
                 if (!(u >= 0 && v >= 0 && u <= right && v <= bottom)) continue;  // NaN: no surface
                 int row = 0, column = 0;
-                const Taps& across = kernels.at(u, stretch_at(source, y, x, 0), column);
-                const Taps& down = kernels.at(v, stretch_at(source, y, x, 1), row);
+                const Taps& across = kernels.at(u, stretch[2 * x], column);
+                const Taps& down = kernels.at(v, stretch[2 * x + 1], row);
                 const Sums sums = read(value, sigma, {row + down.first, column + across.first, down, across});
                 if (sums.weight < kMinWeight) continue;
                 sampled = sums.value / sums.weight;
                 deviation = std::sqrt(sums.squares * (1 + interpolated * (across.gain * down.gain - 1))) / sums.weight;
             }
+        }
     });
 }
 

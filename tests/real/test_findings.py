@@ -3,18 +3,19 @@
 import pytest
 from captures import measured
 
-#: Measured: 0.07 px within the 12 steps of the ball, 0.14 +- 0.06 px between fringes and white on the steel.
-MOVEMENT_PX = 0.15
+#: Measured: 0.10 px within the 12 steps of the ball, 0.016 px within the 6 steps on the steel, whose black image shows
+#: the strong room light.
+MOVEMENT_PX = {"ball_12step": 0.15, "steel_corner_shiftline": 0.03}
 
 
-@pytest.mark.parametrize("name", ["ball_12step", "steel_corner_shiftline"])
+@pytest.mark.parametrize("name", MOVEMENT_PX)
 def test_a_good_capture_is_neither_refused_nor_warned_of(name):
     findings = measured(name).findings
     assert [finding.warning for finding in findings if finding.warning] == []
     movements = [finding.value for finding in findings if finding.quantity.startswith("movement")]
     known = [value for value in movements if value is not None]
     assert len(known) >= 2
-    assert max(known) <= MOVEMENT_PX
+    assert max(known) <= MOVEMENT_PX[name]
 
 
 def test_the_rows_of_the_steel_rig_are_off_and_of_the_ball_not_observable():

@@ -25,8 +25,8 @@ def between_blocks(blocks, factor, shape):
     return matrix(shape[0], blocks.shape[0]) @ blocks @ matrix(shape[1], blocks.shape[1]).T
 
 
-def block_sums(image, low, high, factor):
-    known = (image > low) & (image < high)
+def block_sums(image, low, high, seen, factor):
+    known = (image > low) & (image < high) & (seen > 0 if seen.size else True)
     pad = [(0, -n % factor) for n in image.shape]
     out = []
     for m in (np.where(known, image, 0), known.astype(float)):
@@ -36,9 +36,10 @@ def block_sums(image, low, high, factor):
     return out
 
 
-def camera_contrast(images, ranges, inverse_level, weight, noise, factor, limit):
+def camera_contrast(images, ranges, seen, inverse_level, weight, noise, factor, limit):
     shape, kinds = images[0].shape, len(images)
-    known = [(i > low) & (i < high) for i, (low, high) in zip(images, ranges, strict=True)]
+    where = seen > 0 if seen.size else True
+    known = [(i > low) & (i < high) & where for i, (low, high) in zip(images, ranges, strict=True)]
     weights = [k * spread(w, factor, shape) for k, w in zip(known, weight, strict=True)]
     total = sum(weights)
     grey = [

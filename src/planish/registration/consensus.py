@@ -32,6 +32,26 @@ class ConsensusOptions(Options):
 
 
 @dataclass(frozen=True)
+class Search:
+    """How the matches of a pair were sought: what chance could choose from.
+
+    Parameters
+    ----------
+    looked_at_mm : float
+        How far around its place a match has compared the texture [mm]; infinite where it was sought everywhere.
+    chance : float or None
+        Probability that a match that has nothing to do with a transform agrees with it all the same, where each was
+        sought by itself, in texture of its own. None: it follows from how the places lie.
+    tried : float
+        Transforms that chance had to choose from before there were matches.
+    """
+
+    looked_at_mm: float = field(default=5.0, metadata={"unit": "mm"})
+    chance: float | None = None
+    tried: float = 1.0
+
+
+@dataclass(frozen=True)
 class Candidate:
     """One transform and the matches that agree with it in position, normal and orientation.
 
@@ -62,14 +82,15 @@ class CoarseResult:
         Probability that a match that has nothing to do with a transform agrees with it all the same.
     places : int
         Distinct places among all matches (in a).
-    tried : float
-        Transforms that chance had to choose from before there were matches.
+    search : Search
+        How the matches were sought.
+    options : ConsensusOptions
     """
 
     candidates: tuple[Candidate, ...]
     chance: float
     places: int
-    tried: float = 1.0
+    search: Search = field(default_factory=Search)
     options: ConsensusOptions = field(default_factory=ConsensusOptions)
 
 
@@ -78,18 +99,13 @@ def find_consensus(
     options: ConsensusOptions | None = None,
     threads: int | None = None,
     exclude: NDArray[np.bool_] | None = None,
-    chance: float | None = None,
-    tried: float = 1.0,
+    search: Search | None = None,
 ) -> CoarseResult:
-    """Return the best transforms of b in a; `exclude` (M,) leaves matches out.
-
-    `chance` that a wrong match agrees follows from the density of the places, unless the matches were sought otherwise:
-    then among so many transforms as were `tried`.
-    """
-    options = options or ConsensusOptions()
+    """Return the best transforms of b in a; `exclude` (M,) leaves matches out, `search` tells how they were sought."""
+    options, search = options or ConsensusOptions(), search or Search()
     use = np.arange(len(matches)) if exclude is None else np.flatnonzero(~exclude)
     points_a, points_b = matches.points_a, matches.points_b
-    chance = _chance(points_a[use], options) if chance is None else chance
+    chance = _chance(points_a[use], options) if search.chance is None else search.chance
     places = count_places(points_a[use], options.distinct_mm)
     candidates: list[Candidate] = []
     while len(candidates) < options.max_candidates:
@@ -100,7 +116,7 @@ def find_consensus(
         # What contradicts the best must live without the matches that lie anywhere near it.
         near = np.linalg.norm(points_a - transform_points(found.T_a_b, points_b), axis=1) < 3 * options.tolerance_mm
         use = use[~near[use]]
-    return CoarseResult(tuple(candidates), chance, places, tried, options)
+    return CoarseResult(tuple(candidates), chance, places, search, options)
 
 
 #: Transforms that the core returns, by its count of cells; the places are counted here.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import Options
-from planish.registration.consensus import CoarseResult, ConsensusOptions, find_consensus
+from planish.registration.consensus import CoarseResult, ConsensusOptions, Search, find_consensus
 from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows, prepare_dense
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
@@ -135,20 +135,17 @@ def register_pair(
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
     options = options or PairOptions()
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
-    coarse = find_consensus(matches, options.consensus, threads)
-    result = _judged(a, b, matches, coarse, _looked_at_mm(a, options), options, pairs_in_run, threads)
+    coarse = find_consensus(matches, options.consensus, threads, search=_patch_search(a, options.match))
+    result = _judged(a, b, matches, coarse, options, pairs_in_run, threads)
     if result.status != "refused" or not (options.dense.enabled and _is_weak(a, b, options.dense)):
         return result
     windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
-    coarse = find_consensus(windows.matches, options.consensus, threads, chance=windows.chance, tried=windows.tried)
-    second = _judged(a, b, windows.matches, coarse, _EVERYWHERE_MM, options, pairs_in_run, threads)
+    search = Search(np.inf, windows.chance, windows.tried)
+    coarse = find_consensus(windows.matches, options.consensus, threads, search=search)
+    second = _judged(a, b, windows.matches, coarse, options, pairs_in_run, threads)
     # Of two refusals the one that says more.
     better = second.log10_false_alarms < result.log10_false_alarms
     return second if second.status != "refused" or better else result
-
-
-#: Windows have been sought over the whole of both measurements.
-_EVERYWHERE_MM = 1e6
 
 
 def _judged(
@@ -156,14 +153,13 @@ def _judged(
     b: Prepared,
     matches: Matches,
     coarse: CoarseResult,
-    looked_at_mm: float | None,
     options: PairOptions,
     pairs_in_run: int,
     threads: int | None,
 ) -> PairResult:
     """Return the result that these matches and their consensus lead to."""
     side_a, side_b = (Side(p.measurement, p.images, p.contrast) for p in (a, b))
-    verdict = judge_coarse(side_a, side_b, matches, coarse, pairs_in_run, options.verdict, looked_at_mm, threads)
+    verdict = judge_coarse(side_a, side_b, matches, coarse, pairs_in_run, options.verdict, threads)
     first = verdict.first
     result = PairResult(
         a=a.measurement.name,
@@ -186,10 +182,10 @@ def _judged(
     return _refined_result(a, b, verdict, first, result, options, threads)
 
 
-def _looked_at_mm(side: Prepared, options: PairOptions) -> float | None:
-    """How far around its place a match has compared the texture [mm]."""
-    radius_px = options.match.patch_radius_px + options.match.reach_px
-    return radius_px * side.images[0].pitch_mm if side.images else None
+def _patch_search(side: Prepared, options: MatchOptions) -> Search:
+    """How keypoints are matched: by the patches around them."""
+    radius_px = options.patch_radius_px + options.reach_px
+    return Search(radius_px * side.images[0].pitch_mm) if side.images else Search()
 
 
 def _patch_side(side: Prepared) -> PatchSide:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish import _core
 from planish.measurement import Map, Measurement, NoiseModel, View
@@ -27,6 +28,10 @@ _UNSATURATED = 0.9
 _SPARSE = 8
 #: The covariance of two kinds is held below the smaller variance, so that no weight is negative.
 _MAX_COVARIANCE = 0.9
+
+
+#: Pixels (H, W) that show the surface.
+Seen = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -68,15 +73,10 @@ def camera_contrast(measurement: Measurement, name: str, lowpass: Lowpass, limit
     What lies beside it, lit or not, does not enter the low-pass.
     """
     view, seen = measurement.views[name], surface_seen(measurement, name, lowpass)
-
-    def held(image: Map | None) -> Map | None:
-        return None if image is None else np.where(seen, image, np.float32(np.nan)).astype(np.float32, copy=False)
-
-    view = replace(view, mean=held(view.mean), white=held(view.white), modulation=held(view.modulation))
-    kinds = _kinds(view, lowpass)
+    kinds = _kinds(view, seen, lowpass)
     names = list(kinds)
     covariance = _covariance(view, kinds)
-    kinds = _with_unexplained(kinds, covariance)
+    kinds = _with_unexplained(kinds, covariance, seen)
     weights = _weights(kinds, covariance)
     zero = np.zeros_like(weights[0])
 
@@ -90,9 +90,10 @@ def camera_contrast(measurement: Measurement, name: str, lowpass: Lowpass, limit
     value, variance = _core.camera_contrast(
         [np.ascontiguousarray(k.image, np.float32) for k in kinds.values()],
         [(k.low, k.high) for k in kinds.values()],
+        np.ascontiguousarray(seen).view(np.uint8),
         inverse,
         weights,
-        [noise(a, b) * np.float32(lowpass.noise_left) for a in names for b in names],
+        [noise(a, b) * np.float32(lowpass.noise_left()) for a in names for b in names],
         lowpass.factor,
         limit,
         lowpass.threads,
@@ -102,19 +103,19 @@ def camera_contrast(measurement: Measurement, name: str, lowpass: Lowpass, limit
     )
 
 
-def _kinds(view: View, lowpass: Lowpass) -> dict[str, _Kind]:
+def _kinds(view: View, seen: Seen, lowpass: Lowpass) -> dict[str, _Kind]:
     """Return the images that hold texture, mean first, each with the variance that the camera's noise gives it."""
     dark, images = _dark_limit(view.noise), float(view.mean_images or 1)
     kinds: dict[str, _Kind] = {}
     if view.mean is not None:
-        kinds["mean"] = _kind(view.mean, (dark, np.inf), view.noise, 1 / images, lowpass)
+        kinds["mean"] = _kind(view.mean, (dark, np.inf), seen, view.noise, 1 / images, lowpass)
     if view.white is not None:
-        limits = (dark, _white_limit(view))
-        kinds["white"] = _kind(view.white, limits, view.noise, 1.0, lowpass)
+        limits = (dark, _white_limit(view, seen))
+        kinds["white"] = _kind(view.white, limits, seen, view.noise, 1.0, lowpass)
     if view.mean is not None and view.modulation is not None:
         # Amplitude of N phase steps: 2 / N of the variance of one of them, at the mean light.
         light = kinds["mean"].level
-        found = _kind(view.modulation, (dark, np.inf), view.noise, 2 / images, lowpass, light)
+        found = _kind(view.modulation, (dark, np.inf), seen, view.noise, 2 / images, lowpass, light)
         loss = _saturation_loss(light, found.level, view.saturation)
         kinds["modulation"] = replace(found, variance=found.variance * loss)
         kinds["mean"] = replace(kinds["mean"], variance=kinds["mean"].variance * loss)
@@ -122,24 +123,30 @@ def _kinds(view: View, lowpass: Lowpass) -> dict[str, _Kind]:
 
 
 def _kind(
-    image: Map, limits: tuple[float, float], noise: NoiseModel, share: float, lowpass: Lowpass, light: Map | None = None
+    image: Map,
+    limits: tuple[float, float],
+    seen: Seen,
+    noise: NoiseModel,
+    share: float,
+    lowpass: Lowpass,
+    light: Map | None = None,
 ) -> _Kind:
-    level = lowpass(image, *limits)
+    level = lowpass(image, *limits, seen)
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = noise.variance(level if light is None else light) * np.float32(share) / level**2
     return _Kind(image, *limits, level, np.where(level > 0, variance, np.float32(np.nan)).astype(np.float32))
 
 
-def _white_limit(view: View) -> float:
+def _white_limit(view: View, seen: Seen) -> float:
     """Return the grey value from which the white image may be saturated: a dark image was subtracted from it.
 
     The dark image is what the mean of the fringe images exceeds half of white by.
     """
     if view.mean is None or view.white is None:
         return view.saturation
-    white, mean = (m[_SPARSE // 2 :: _SPARSE, _SPARSE // 2 :: _SPARSE] for m in (view.white, view.mean))
+    white, mean, shown = (m[_SPARSE // 2 :: _SPARSE, _SPARSE // 2 :: _SPARSE] for m in (view.white, view.mean, seen))
     dark = np.maximum(mean - white / 2, 0)
-    dark = dark[np.isfinite(dark) & (white < _UNSATURATED * view.saturation)]
+    dark = dark[shown & np.isfinite(dark) & (white < _UNSATURATED * view.saturation)]
     if dark.size == 0:
         return view.saturation
     # At most places; the dark image's own noise comes on top.
@@ -178,7 +185,7 @@ def _covariance(view: View, kinds: dict[str, _Kind]) -> Map | None:
     return np.minimum(covariance, _MAX_COVARIANCE * np.fmin(mean.variance, modulation.variance)).astype(np.float32)
 
 
-def _with_unexplained(kinds: dict[str, _Kind], covariance: Map | None) -> dict[str, _Kind]:
+def _with_unexplained(kinds: dict[str, _Kind], covariance: Map | None, seen: Seen) -> dict[str, _Kind]:
     """Raise the variance of every further kind by what its difference to the first shows beyond the stated noise.
 
     Texture and sensor pattern cancel in the difference. What is left over is what the noise model does not know: a
@@ -190,12 +197,12 @@ def _with_unexplained(kinds: dict[str, _Kind], covariance: Map | None) -> dict[s
         other = kinds[name]
         common = covariance if name == "modulation" and covariance is not None else np.float32(0)
         expected = first.variance + other.variance - 2 * common
-        excess = _excess(first, other, expected)
+        excess = _excess(first, other, expected, seen)
         out[name] = _Kind(other.image, other.low, other.high, other.level, other.variance + excess * expected)
     return out
 
 
-def _excess(first: _Kind, other: _Kind, expected: Map) -> np.float32:
+def _excess(first: _Kind, other: _Kind, expected: Map, seen: Seen) -> np.float32:
     """Return by what share the variance of the difference of two kinds exceeds the expected (h, w); 0 where unknown."""
     height, width = first.image.shape
     factor = -(-height // expected.shape[0])
@@ -210,7 +217,7 @@ def _excess(first: _Kind, other: _Kind, expected: Map) -> np.float32:
                 np.where((grey > kind.low) & (grey < kind.high), grey / kind.level[blocks], np.float32(np.nan))
             )
         normal = (ratios[1] - ratios[0]) / np.sqrt(expected[blocks])
-    normal = normal[np.isfinite(normal)]
+    normal = normal[np.isfinite(normal) & seen[np.ix_(rows, columns)]]
     if normal.size < _MIN_COMPARED:
         return np.float32(0)
     deviation = _PER_MAD * float(np.median(np.abs(normal - np.median(normal))))

@@ -10,6 +10,7 @@ import numpy as np
 
 from planish import _core
 from planish.measurement import Map, Measurement
+from planish.registration.texture.lowpass import EVERYWHERE
 
 #: Blocks [px] at which everything that belongs to the pattern's statistics is kept.
 BLOCK_PX = 4
@@ -120,7 +121,7 @@ def split_bands(value: Map) -> tuple[Map, Map]:
 
 def block_moments(value: Map, threads: int) -> tuple[Map, Map]:
     """Return sum of squares and number (h, w) of the known pixels of a map (H, W) per block."""
-    return _core.block_sums(value * value, -np.inf, np.inf, BLOCK_PX, threads)
+    return _core.block_sums(value * value, -np.inf, np.inf, EVERYWHERE, BLOCK_PX, threads)
 
 
 def pattern_weights(value: Map, threads: int) -> Map:

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from planish.geometry import Array
 from planish.registration.surface import Surface
@@ -152,14 +152,24 @@ def _arcs(nodes: Nodes) -> tuple[Array, Array]:
 
 
 def _sums_over_edges(edges: NDArray[np.int64], count: int) -> Callable[[Array], Array]:
-    """Return the function that finds values (N,) from their differences (E,) along the edges, the first being 0."""
-    rows, ones = np.arange(len(edges)), np.ones(len(edges))
-    differences = sparse.coo_matrix(
-        (np.concatenate([-ones, ones]), (np.tile(rows, 2), edges.T.ravel())), shape=(len(edges), count)
-    ).tocsr()
-    normal = (differences.T @ differences + sparse.coo_matrix(([1.0], ([0], [0])), shape=(count, count))).tocsc()
-    factors = splu(normal, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
-    return lambda values: factors.solve(differences.T @ values)
+    """Return the function that finds values (N,) from their differences (E,) along the edges, the first being 0.
+
+    Nodes are numbered along rows, so that the matrix of the normal equations is a band as wide as a row is long.
+    """
+    i, j = np.sort(edges, axis=1).T
+    width = int((j - i).max(initial=0))
+    # Lower form of LAPACK: row k holds the k-th diagonal below the main one.
+    band = np.zeros((width + 1, count))
+    band[0] = np.bincount(edges.ravel(), minlength=count)
+    band[0, 0] += 1.0
+    np.subtract.at(band, (j - i, i), 1.0)
+    factors = cholesky_banded(band, overwrite_ab=True, lower=True, check_finite=False)
+
+    def solve(values: Array) -> Array:
+        right = np.bincount(edges[:, 1], values, count) - np.bincount(edges[:, 0], values, count)
+        return np.asarray(cho_solve_banded((factors, True), right, check_finite=False))
+
+    return solve
 
 
 def _transport(v: Array, n: Array, to: Array) -> Array:

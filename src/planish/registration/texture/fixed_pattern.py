@@ -32,7 +32,7 @@ from planish.registration.texture.camera_pattern import (
     pattern_weights,
     split_bands,
 )
-from planish.registration.texture.lowpass import Lowpass
+from planish.registration.texture.lowpass import EVERYWHERE, Lowpass
 from planish.registration.texture.pattern_variances import Moments, StillTexture, pattern_variances
 from planish.registration.texture.photometric import PhotometricOptions
 from planish.registration.tiles import ground_sample_distance
@@ -125,7 +125,7 @@ def _add(run: _Run, measurement: Measurement, options: PhotometricOptions, threa
         values[name], shape = seen.value, (seen.value.shape[0], seen.value.shape[1])
         bands = run.cameras.setdefault(name, (_Sums.of(shape), _Sums.of(shape)))
         counted = counted_blocks(measurement, name)
-        noise, _ = _core.block_sums(seen.variance, -np.inf, np.inf, BLOCK_PX, threads)
+        noise, _ = _core.block_sums(seen.variance, -np.inf, np.inf, EVERYWHERE, BLOCK_PX, threads)
         for sums, part, share in zip(bands, split_bands(seen.value), BAND_NOISE, strict=True):
             sums.add(part, noise * np.float32(share), counted, threads)
         if name == measurement.organised_on:

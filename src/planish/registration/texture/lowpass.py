@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from planish import _core
 from planish.measurement import Map
@@ -14,6 +15,17 @@ from planish.measurement import Map
 _SIGMA_BLOCKS = 2.0
 #: Share of the window that must be known.
 _MIN_DENSITY = 1e-3
+#: Exponents of x and y of the sums that a plane needs.
+_FIRST = ((0, 0), (1, 0), (0, 1))
+_SECOND = (*_FIRST, (2, 0), (1, 1), (0, 2))
+#: The window reaches so many standard deviations far.
+_REACH_SIGMAS = 4.0
+#: Across what is thinner than this share of the window's variance there is no slope; a half window has a third.
+_THIN = 0.01
+#: What lies to one side of a block never changes its level by more than this share.
+_STEEPEST = 0.5
+#: What the kernels take for a mask that leaves nothing out.
+EVERYWHERE = np.empty((0, 0), np.uint8)
 
 
 @dataclass(frozen=True)
@@ -29,26 +41,55 @@ class Lowpass:
         """Return the low-pass with the largest blocks that it allows."""
         return cls(sigma_px, max(1, round(sigma_px / _SIGMA_BLOCKS)), threads)
 
-    def __call__(self, image: Map, low: float = -np.inf, high: float = np.inf) -> Map:
+    def __call__(
+        self, image: Map, low: float = -np.inf, high: float = np.inf, seen: NDArray[np.bool_] | None = None
+    ) -> Map:
         """Return the mean (h, w) of the pixels with low < value < high around each block; NaN where there are none.
 
-        Normalised convolution (Knutsson and Westin 1993).
+        Where `seen` (H, W) is given, pixels count only there. Normalised convolution (Knutsson and Westin 1993).
         """
-        return self.ratio(*self.sums(image, low, high))
+        return self.ratio(*self.sums(image, low, high, seen))
 
-    def sums(self, image: Map, low: float = -np.inf, high: float = np.inf) -> tuple[Map, Map]:
+    def sums(
+        self, image: Map, low: float = -np.inf, high: float = np.inf, seen: NDArray[np.bool_] | None = None
+    ) -> tuple[Map, Map]:
         """Return sum and number (h, w) of the pixels with low < value < high per block; NaN never counts."""
-        return _core.block_sums(np.ascontiguousarray(image, np.float32), low, high, self.factor, self.threads)
+        where = EVERYWHERE if seen is None else np.ascontiguousarray(seen).view(np.uint8)
+        return _core.block_sums(np.ascontiguousarray(image, np.float32), low, high, where, self.factor, self.threads)
 
     def ratio(self, total: Map, weight: Map) -> Map:
-        """Return the low-pass of `total` over that of `weight` (h, w); NaN where there is too little weight."""
-        smooth, density = self.smooth(total), self.smooth(weight)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(density > _MIN_DENSITY * self.factor**2, smooth / density, np.float32(np.nan))
+        """Return the low-pass of `total` over that of `weight` (h, w); NaN where there is too little weight.
 
-    def smooth(self, blocks: Map) -> Map:
-        """Return blocks (h, w) smoothed by the Gaussian, 0 beyond the image."""
-        return cv2.GaussianBlur(blocks, (0, 0), self.sigma_px / self.factor, borderType=cv2.BORDER_CONSTANT)
+        A plane is fitted around each block (local linear regression: Fan and Gijbels 1996, section 3.2). At a rim, all
+        that is known lies to one side: a mean would miss the slope of the light, and show the rim as a line.
+        """
+        density, x, y, xx, xy, yy = self._moments(weight, _SECOND)
+        value, value_x, value_y = self._moments(total, _FIRST)
+        enough = density > _MIN_DENSITY * self.factor**2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean, x, y = (m / density for m in (value, x, y))
+            thin = np.float32(_THIN * self._sigma_blocks**2)
+            xx, yy, xy = xx / density - x * x + thin, yy / density - y * y + thin, xy / density - x * y
+            slope_x, slope_y = value_x / density - x * mean, value_y / density - y * mean
+            # The plane at the block itself, (x, y) from the middle of what is known.
+            solved = (x * (yy * slope_x - xy * slope_y) + y * (xx * slope_y - xy * slope_x)) / (xx * yy - xy * xy)
+            limit = np.float32(_STEEPEST) * np.abs(mean)
+            return np.where(enough, mean - np.clip(solved, -limit, limit), np.float32(np.nan))
+
+    @property
+    def _sigma_blocks(self) -> float:
+        return self.sigma_px / self.factor
+
+    def _moments(self, blocks: Map, powers: tuple[tuple[int, int], ...]) -> list[Map]:
+        """Return the Gaussian-weighted sums (h, w) of blocks times x^i y^j around each block; 0 beyond the image."""
+        reach = round(_REACH_SIGMAS * self._sigma_blocks)
+        at = np.arange(-reach, reach + 1, dtype=np.float32)
+        bell = np.exp(-0.5 * (at / np.float32(self._sigma_blocks)) ** 2)
+        bell /= bell.sum()
+        # Correlation: the kernel's right lies right of the block.
+        return [
+            cv2.sepFilter2D(blocks, -1, bell * at**i, bell * at**j, borderType=cv2.BORDER_CONSTANT) for i, j in powers
+        ]
 
     def shape(self, image_shape: tuple[int, int]) -> tuple[int, int]:
         """Return (h, w) for an image of (H, W)."""
@@ -58,17 +99,25 @@ class Lowpass:
         """Return every block's central pixel of an image (H, W) or (H, W, C)."""
         half = self.factor // 2
         h, w = self.shape((image.shape[0], image.shape[1]))
+        whole = np.ascontiguousarray(image[half :: self.factor, half :: self.factor])
+        # The last blocks may end before their centre.
+        missing = (h - whole.shape[0], w - whole.shape[1])
+        if not any(missing):
+            return whole
         rows, columns = (
             np.minimum(np.arange(n) * self.factor + half, size - 1)
             for n, size in ((h, image.shape[0]), (w, image.shape[1]))
         )
         return image[np.ix_(rows, columns)]
 
-    @property
-    def noise_left(self) -> float:
-        """Share of a pixel's own variance that is left where the low-pass is taken from it: it holds the pixel, too."""
-        # |delta - g|^2 = 1 - 2 g(0) + |g|^2 with g(0) = 1 / (2 pi s^2), |g|^2 = 1 / (4 pi s^2).
-        return 1.0 - 3.0 / (4.0 * np.pi * max(self.sigma_px, 1.0) ** 2)
+    def noise_left(self, passes: int = 1) -> float:
+        """Share of a pixel's own variance that is left where one or two passes of the low-pass are taken from it.
+
+        The low-pass holds the pixel, too: |delta - k|^2 = 1 - 2 k(0) + |k|^2 for the kernel k, the Gaussian g itself or
+        2 g - g * g for two passes; n-fold convolutions of g have the value 1 / (2 pi n s^2) in their middle.
+        """
+        share = 3 / 4 if passes == 1 else 25 / 24
+        return 1.0 - share / (np.pi * max(self.sigma_px, 1.0) ** 2)
 
 
 def fill_gaps(blocks: Map, default: float) -> Map:

@@ -105,11 +105,15 @@ class StillTexture:
         product, count = (_smooth(self.maps[name], _WIDE_BLOCKS) for name in ("product", "count"))
         between = _smooth(_columns(self.own.astype(float) * self.other), _WIDE_BLOCKS) - product
         pairs = _smooth(_columns(self.count.astype(float) ** 2), _WIDE_BLOCKS) - count
-        # Twice the standard deviation of the correlation where there is no texture keeps the ratio quiet there.
-        ridge = 2 / np.sqrt(4 * np.pi * _WIDE_BLOCKS**2 * BLOCK_PX * self.captures)
+        # Twice the standard deviation of what both have in common by chance keeps the ratio quiet where there is no
+        # texture. It does not average out over captures: patterns of both cameras are as fixed as still texture.
+        chance = 2 * _spread_of_products(self.own, self.other)
         with np.errstate(divide="ignore", invalid="ignore"):
-            within = np.maximum(product / count, 0) + ridge
-            found = np.nan_to_num(between / pairs / within, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 1)
+            within = np.maximum(product / count, 0) + chance / pairs
+            # What chance explains is no still texture, or dust beside it would stay.
+            certain = np.clip(2 * between / chance - 1, 0, 1)
+            shared = certain * between / pairs
+            found = np.nan_to_num(shared / within, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 1)
         out = np.zeros(shape)
         if own:
             out[: found.shape[0]] = found[: shape[0], : shape[1]]
@@ -180,6 +184,16 @@ def pattern_variances(
     with np.errstate(divide="ignore", invalid="ignore"):
         gain = np.nan_to_num(1 / (errors * weight_of_one), nan=1.0, posinf=1.0)
     return prior.astype(np.float32), still.astype(np.float32), gain.astype(np.float32)
+
+
+def _spread_of_products(own: Map, other: Map) -> Array:
+    """Standard deviation (h, w) of the smoothed sums of own times other, if the two have nothing to do with each other.
+
+    Patterns of a sensor are white: pixels are independent.
+    """
+    squares = _columns((own.astype(float) * other) ** 2)
+    # The squared weights of a Gaussian are one of half the variance.
+    return np.sqrt(_smooth(squares, _WIDE_BLOCKS / np.sqrt(2)) / (4 * np.pi * _WIDE_BLOCKS**2))
 
 
 def _accumulate(into: dict[str, Array], maps: dict[str, Array]) -> None:

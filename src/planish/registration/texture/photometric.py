@@ -104,14 +104,28 @@ def _merge(
             view.value, view.variance, level, lowpass.factor, place, lowpass.threads
         )
         # Over the same pixels for all cameras and the light.
-        expected = lowpass(np.where(measurement.valid, image, np.float32(np.nan)))
+        total, count = lowpass.sums(image, seen=measurement.valid)
+        expected = lowpass.ratio(total, count)
         if relative is not None:
             # With I = albedo S, lowpass(I) S / lowpass(S) is S times the local mean of the albedo, weighted by S. Room
             # light does not follow S.
             room = fill_gaps(from_camera_blocks(measurement, name, view.room_share, lowpass), 0.0)
             expected = expected * (relative + room * (1 - relative))
+        expected = expected * _left_over(total, count, expected, lowpass)
+        variance *= np.float32(lowpass.noise_left(2) / lowpass.noise_left())
         images.append((image, variance, expected, counted))
     return _core.merge_contrasts(images, measurement.valid.view(np.uint8), lowpass.factor, lowpass.threads)
+
+
+def _left_over(total: Map, count: Map, expected: Map, lowpass: Lowpass) -> Map:
+    """Return what still changes slowly in an image, given by its sums over blocks (h, w), against what is expected.
+
+    Light that grazes the surface is predicted badly, since errors of the normals count most there and the points of a
+    bent surface's rim are the worst: a second pass of the low-pass takes what the first one left (twicing: Tukey 1977).
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.where(expected > 0, total / expected, np.float32(0))
+    return lowpass.ratio(relative, np.where(expected > 0, count, np.float32(0)))
 
 
 def _relative_shading(measurement: Measurement, surface: Surface, lowpass: Lowpass, options: PhotometricOptions) -> Map:

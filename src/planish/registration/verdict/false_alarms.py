@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from scipy.special import betainc, gammaln
 
 from planish.geometry import Array, transform_points
-from planish.registration.consensus import CoarseResult, count_places
+from planish.registration.consensus import Candidate, CoarseResult, count_places
 from planish.registration.matches import Matches
 from planish.registration.verdict.verify import Windows
 
@@ -41,26 +41,27 @@ def log10_binomial_tail(k: int, n: int, p: float) -> float:
     return float(min(log_term / np.log(10), 0.0))
 
 
-def log10_by_matches(
-    matches: Matches, members: NDArray[np.int64], T_a_b: Array, coarse: CoarseResult, looked_at_mm: float
-) -> float:
+def log10_by_matches(matches: Matches, candidate: Candidate, coarse: CoarseResult) -> float:
     """Return log10 of the number of consensuses this good to be expected by chance in one pair.
 
-    Places count that are so far apart that their matches have looked at different texture (`looked_at_mm` is the radius
-    of what each has compared): one piece of texture that resembles another by chance carries all the matches on it. A
-    place agrees if one of its matches does.
+    Matches that were sought each by itself, in texture of its own, are independent, with a known chance. Of others,
+    places count that are so far apart that their matches have looked at different texture: one piece of texture that
+    resembles another by chance carries all the matches on it. A place agrees if one of its matches does.
 
-    The greater of two counts. One is among all places (`chance_of_agreement`). The other grants chance that kind finds
-    kind: rims match rims, lines match lines, because they look alike, so that a transform which lays one on the other
-    has many matches that nearly agree. Only those within a wide reach are counted then, and the chance that such a
-    match agrees exactly is taken from how the places of its neighbourhood lie: along a line it is far greater than in
-    an area.
+    Of these, the greater of two counts. One is among all places (`chance_of_agreement`). The other grants chance that
+    kind finds kind: rims match rims, lines match lines, because they look alike, so that a transform which lays one on
+    the other has many matches that nearly agree. Only those within a wide reach are counted then, and the chance that
+    such a match agrees exactly is taken from how the places of its neighbourhood lie: along a line it is far greater
+    than in an area.
     """
+    search, members, T_a_b = coarse.search, candidate.members, candidate.T_a_b
+    if search.chance is not None:
+        return log10_false_alarms(candidate.places, coarse.places, search.chance, search.tried)
     distance = np.linalg.norm(matches.points_a - transform_points(T_a_b, matches.points_b), axis=1)
     best = 0.0
     for share in _TOLERANCES:
         agreeing = members[distance[members] <= share * coarse.options.tolerance_mm]
-        best = min(best, _log10_tail(matches, agreeing, T_a_b, coarse, looked_at_mm, share))
+        best = min(best, _log10_tail(matches, agreeing, T_a_b, coarse, share))
     several = np.log10(len(_TOLERANCES)) if best < 0 else 0.0
     return float(np.log10(max(coarse.places, 2) ** 2 / 2) + best + several)
 
@@ -77,11 +78,10 @@ def _log10_tail(
     agreeing: NDArray[np.int64],
     T_a_b: Array,
     coarse: CoarseResult,
-    looked_at_mm: float,
     share: float,
 ) -> float:
     """log10 of the chance that so many places agree within a share of the tolerance; two of them fix the transform."""
-    apart_mm = max(_APART * looked_at_mm, coarse.options.distinct_mm)
+    apart_mm = max(_APART * coarse.search.looked_at_mm, coarse.options.distinct_mm)
     places = count_places(matches.points_a[agreeing], apart_mm)
     if places < 3:
         return 0.0

@@ -18,7 +18,6 @@ from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.false_alarms import (
     log10_by_matches,
     log10_by_windows,
-    log10_false_alarms,
     log10_of_product,
     log10_transforms,
 )
@@ -106,22 +105,17 @@ def weigh(
     matches: Matches,
     candidate: Candidate,
     coarse: CoarseResult,
-    looked_at_mm: float,
     options: VerifyOptions,
 ) -> Hypothesis:
     """Return what speaks for a candidate of the consensus.
 
     Two independent tests are multiplied: the agreement of the matches, and that of the windows which no match of
-    the consensus has looked at (`looked_at_mm` around its place). Where these are none, all windows are
+    the consensus has looked at. Where these are none, all windows are
     counted against all transforms that could have been tried. Of both ways the better counts, twice.
     """
-    if coarse.tried > 1:
-        # Disjoint windows, each sought by itself: independent, with a known chance.
-        by_matches = log10_false_alarms(candidate.places, coarse.places, coarse.chance, coarse.tried)
-    else:
-        by_matches = log10_by_matches(matches, candidate.members, candidate.T_a_b, coarse, looked_at_mm)
+    by_matches = log10_by_matches(matches, candidate, coarse)
     members = matches.take(candidate.members)
-    reach = looked_at_mm + options.window_mm / 2
+    reach = coarse.search.looked_at_mm + options.window_mm / 2
 
     def product(windows: Windows) -> float:
         free = windows.take(apart_from(windows, members.points_a, reach))

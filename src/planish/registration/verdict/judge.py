@@ -87,7 +87,6 @@ def judge_coarse(
     coarse: CoarseResult,
     pairs_in_run: int,
     options: VerdictOptions | None = None,
-    looked_at_mm: float | None = None,
     threads: int | None = None,
 ) -> Verdict:
     """Judge the candidates of the consensus, before the refinement.
@@ -101,12 +100,10 @@ def judge_coarse(
     pairs_in_run : int
         Pairs of measurements tried in the run.
     options : VerdictOptions, optional
-    looked_at_mm : float, optional
-        How far around its place a match has looked at the texture; default half a window.
     threads : int, optional
     """
     options = options or VerdictOptions()
-    case = _Case(a, b, matches, pairs_in_run, options, looked_at_mm or options.verify.window_mm / 2, threads)
+    case = _Case(a, b, matches, pairs_in_run, options, threads)
     found = case.hypotheses(coarse)
     if not found:
         return Verdict(_no_consensus(case, coarse), None, np.log10(pairs_in_run) + np.log10(max(coarse.places, 2) ** 2))
@@ -131,7 +128,6 @@ class _Case:
     matches: Matches
     pairs_in_run: int
     options: VerdictOptions
-    looked_at_mm: float
     threads: int | None
 
     def alarms(self, h: Hypothesis) -> float:
@@ -153,15 +149,13 @@ class _Case:
             self.stands_still(h) or self.alarms(h) > self.options.max_log10_false_alarms for h in found
         ):
             rest = still.standing_still(self.matches, self.options.still_px)
-            chance = coarse.chance if coarse.tried > 1 else None
-            moving = find_consensus(self.matches, coarse.options, self.threads, rest, chance, coarse.tried)
+            moving = find_consensus(self.matches, coarse.options, self.threads, rest, coarse.search)
             found = self._weighed(moving, found)
         return sorted(found, key=lambda h: h.log10_false_alarms)
 
     def _weighed(self, coarse: CoarseResult, found: list[Hypothesis]) -> list[Hypothesis]:
         for candidate in coarse.candidates:
-            options = self.options.verify
-            h = weigh(self.a, self.b, self.matches, candidate, coarse, self.looked_at_mm, options)
+            h = weigh(self.a, self.b, self.matches, candidate, coarse, self.options.verify)
             if not any(self.same(h, other) for other in found):
                 found = [*found, h]
         return found

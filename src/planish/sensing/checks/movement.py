@@ -13,8 +13,17 @@ from planish.geometry import Array
 from planish.measurement import Finding, Map, NoiseModel
 from planish.sensing.capture.images import GreyImage
 from planish.sensing.capture.sequence import Layout, PeriodSteps
-from planish.sensing.checks.shift import BLOCK_PX, NOT_OBSERVABLE, BlockSums, Shift, block_sums, solve_shift
-from planish.sensing.checks.still import Still, comparable, mean_of, stills, to_compare
+from planish.sensing.checks.light import Band, EqualLight, equal_light, to_adapt
+from planish.sensing.checks.shift import BLOCK_PX, FLOOR_GAIN, NOT_OBSERVABLE, BlockSums, Shift, block_sums, solve_shift
+from planish.sensing.checks.still import (
+    Still,
+    comparable,
+    mean_of,
+    projector_light,
+    stills,
+    to_compare,
+    white_to_compare,
+)
 
 #: A capture with more movement [px] is refused: points and texture would be off by more than their own noise.
 MAX_MOVEMENT_PX = 0.2
@@ -22,8 +31,9 @@ MAX_MOVEMENT_PX = 0.2
 MAX_SIGMA_PX = 0.1
 #: ... where it exceeds that by so many standard deviations.
 REFUSE_SIGMAS = 3.0
-#: Highlights and a response that is not linear let texture look shifted where the light differs, by so much per
-#: logarithm of its ratio (two cameras on blank steel, fringes against white: 0.14 and 0.03 px).
+#: Where no black image shows the room's light, highlights and reflections let texture look shifted where the light
+#: differs, by so much per logarithm of its ratio (two cameras on blank steel, fringes against white: 0.07 px, with the
+#: black image 0.006 px).
 LIGHT_SIGMA_PX = 0.08
 #: A part of the image moves where its shift differs from nothing by so many standard deviations.
 LOCAL_SIGMAS = 5.0
@@ -73,14 +83,22 @@ def check_movement(
     InputError
         Where the movement is larger than MAX_MOVEMENT_PX.
     """
-    quantity = f"movement in camera {camera}"
-    finding = Finding(quantity, None, None, "px", "no two groups of images show the same picture")
-    for first, last in to_compare(stills(layouts)):
+
+    def ask(pair: tuple[Still, Still], quantity: str) -> Finding:
+        first, last = pair
         found = compare(images, first, last, noise, saturation, threads)
-        finding = _judge(found, quantity, f"{first.name} against {last.name}", subject)
+        return _judge(found, quantity, f"{first.name} against {last.name}", subject)
+
+    quantity, groups = f"movement in camera {camera}", stills(layouts)
+    finding = Finding(quantity, None, None, "px", "no two groups of images show the same picture")
+    for pair in to_compare(groups):
+        finding = ask(pair, quantity)
         if finding.value is not None:
             break
     findings = [finding]
+    white = white_to_compare(groups)
+    if white is not None:
+        findings.append(ask(white, f"movement between patterns and white, camera {camera}"))
     witness = _witness(layouts)
     if witness is not None:
         steps, long = witness
@@ -94,22 +112,51 @@ def compare(
     images: Sequence[GreyImage], first: Still, last: Still, noise: NoiseModel, saturation: float, threads: int
 ) -> Movement:
     """Return the movement of the last group of images against the first."""
-    shares = 1 / len(first.images), 1 / len(last.images)
-    sums, tops = [], []
-    for rows in bands(images[0].shape, SAMPLED_PX, WINDOW_BLOCKS):
-        means = mean_of(images, first.images, rows), mean_of(images, last.images, rows)
-        limit = _contrast_limit(means[0], noise)
-        usable = comparable(images, first, last, means, rows, limit, saturation)
-        sums.append(block_sums(*means, usable, noise, shares, threads))
-        tops.append(rows.start)
+    rows = bands(images[0].shape, SAMPLED_PX, WINDOW_BLOCKS)
+    tops, coarse, light = [band.start for band in rows], None, None
+    if not (first.lit_only or last.lit_only):
+        coarse, light = _compare_coarse(images, first, last, noise, saturation, threads)
+    sums, _ = _sums(images, first, last, rows, noise, saturation, threads, light)
     fine = _under_other_light(locate(sums, tops), first, last)
-    if first.lit_only or last.lit_only:
-        return fine
-    coarse = _compare_coarse(images, first, last, noise, saturation, threads)
-    return coarse if coarse.worst.length_px > COARSE_FROM_PX else fine
+    return coarse if coarse is not None and coarse.worst.length_px > COARSE_FROM_PX else fine
+
+
+def _sums(
+    images: Sequence[GreyImage], first: Still, last: Still, parts: Sequence[slice], noise: NoiseModel,
+    saturation: float, threads: int, light: EqualLight | None = None,
+) -> tuple[list[BlockSums], EqualLight]:  # fmt: skip
+    """Return the sums of two groups under the same light over some bands of rows, and that light, unless it is known.
+
+    What fringes show of the projector's light is less of it where they are blurred or light comes by several ways: it
+    is made use of where it explains more than a common factor does.
+    """
+    adapted = to_adapt(first, last) if light is None or light.of is not None else None
+    seen = []
+    for rows in parts:
+        means = mean_of(images, first.images, rows), mean_of(images, last.images, rows)
+        usable = comparable(images, first, last, means, rows, _contrast_limit(means[0], noise), saturation)
+        shown = None if adapted is None else projector_light(images, adapted, rows)
+        seen.append(Band(*means, None, usable) if shown is None else Band(*means, shown[0], usable & shown[1]))
+    lights = [equal_light(seen, first, last) if light is None else light]
+    if light is None and adapted is not None and not adapted.exact_swings:
+        lights.append(EqualLight())
+    found = []
+    for light in lights:
+        shares = light.shares(first, last)
+        found.append(([block_sums(*light.means(band), band.usable, noise, shares, threads) for band in seen], light))
+    return min(found, key=lambda item: _unlike(item[0]))
+
+
+def _unlike(sums: Sequence[BlockSums]) -> float:
+    """Return how much more two groups differ than by noise, as a share of the texture's power."""
+    texture = sum(float(part.normal[..., 2, 2].sum()) for part in sums)
+    excess = sum(float((part.power - FLOOR_GAIN[2] * part.variance).sum()) for part in sums)
+    return excess / max(texture, 1e-9)
 
 
 def _under_other_light(found: Movement, first: Still, last: Still) -> Movement:
+    if first.exact_swings or last.exact_swings:
+        return found
     more = (LIGHT_SIGMA_PX * float(np.log(last.light / first.light))) ** 2 * np.eye(2)
     everywhere = replace(found.everywhere, covariance=found.everywhere.covariance + more)
     local = None if found.local is None else replace(found.local, covariance=found.local.covariance + more)
@@ -259,17 +306,15 @@ def _agree(window: BlockSums, shift: Shift, pixel: int) -> bool:
 
 def _compare_coarse(
     images: Sequence[GreyImage], first: Still, last: Still, noise: NoiseModel, saturation: float, threads: int
-) -> Movement:
-    small = [_shrunk(images[i]) for i in first.images + last.images]
-    rows = slice(0, small[0].shape[0])
-    there = tuple(range(len(first.images))), tuple(range(len(first.images), len(small)))
-    groups = Still(there[0], first.name), Still(there[1], last.name)
-    means = mean_of(small, there[0], rows), mean_of(small, there[1], rows)
+) -> tuple[Movement, EqualLight]:
+    """Return the movement at a quarter of the resolution, and how both groups came under the same light."""
+    needed = tuple(dict.fromkeys(first.needed + last.needed))
+    small, places = [_shrunk(images[i]) for i in needed], {index: k for k, index in enumerate(needed)}
+    groups = first.renumbered(places), last.renumbered(places)
     # Averaged pixels have less noise; the rounding of their mean is as good as none.
     quiet = NoiseModel(noise.offset / COARSE**2, noise.slope / COARSE**2)
-    usable = comparable(small, *groups, means, rows, _contrast_limit(means[0], noise), saturation)
-    sums = block_sums(*means, usable, quiet, (1 / len(there[0]), 1 / len(there[1])), threads)
-    return locate([sums], [0], COARSE)
+    sums, light = _sums(small, *groups, [slice(0, small[0].shape[0])], quiet, saturation, threads)
+    return locate(sums, [0], COARSE), light
 
 
 def _shrunk(image: GreyImage) -> GreyImage:
@@ -321,4 +366,10 @@ def _judge(found: Movement, quantity: str, source: str, subject: str) -> Finding
             f"at most {MAX_MOVEMENT_PX} px: keep part and sensor still from the first image to the last, and take the "
             "capture again",
         )
-    return Finding(quantity, worst.length_px, worst.sigma_px, "px", source + where)
+    warning = ""
+    if worst.length_px > MAX_MOVEMENT_PX:
+        warning = (
+            f"{quantity}: {worst.length_px:.2f} +- {worst.sigma_px:.2f} px{where}, which may be more than the "
+            f"{MAX_MOVEMENT_PX} px that do no harm: make sure that nothing moves during a capture"
+        )
+    return Finding(quantity, worst.length_px, worst.sigma_px, "px", source + where, warning)
