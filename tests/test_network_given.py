@@ -146,6 +146,19 @@ def test_a_pair_that_only_the_robot_checks_is_found_by_it():
     assert all(test.used for test in result.network.given)
 
 
+def test_what_only_a_robot_checks_is_said_with_the_error_that_it_would_not_notice():
+    truth = panel(3, 2)
+    name = sorted(truth.T)[0]
+    pairs = draw_pairs(truth)
+    last = next(p for p in pairs if name in (p.a, p.b))
+    pairs = [p for p in pairs if name not in (p.a, p.b) or p is last]
+    result = build_network(truth.nodes(), pairs, given=Given(robot=robot(truth)))
+    (sentence,) = [w for w in result.network.warnings if w.startswith(f"{name} hangs on one pair")]
+    unseen = float(sentence.split("by less than ")[1].split(" mm")[0])
+    # A robot good to 1 mm and 2 mrad at arms of 600 mm.
+    assert 2 < unseen < 100
+
+
 def curved(count=60):
     """A mesh of a bent and waved sheet, 600 x 400 mm, and its surface."""
     x, y = np.meshgrid(np.linspace(-300, 300, count), np.linspace(-200, 200, count))
@@ -235,6 +248,37 @@ def test_a_measurement_is_placed_on_cad_from_a_robots_start():
     nees = xi @ np.linalg.solve(placed.covariance_noise, xi)
     # Tiles of 10 mm count as one: for independent noise that is pessimistic, never optimistic beyond chance.
     assert nees < 25
+
+
+def test_a_group_on_cad_is_held_by_its_pairs_where_single_measurements_slide():
+    """Six measurements of a sheet whose relief is at one end: pairs carry its hold to those on the flat."""
+    truth = panel(3, 2, 4, overlap=0.3)
+    x, y = np.meshgrid(np.linspace(-250, 850, 111), np.linspace(-250, 500, 76))
+    z = 40 * np.sin(x / 60) * np.cos(y / 70) * (x < 120)
+    k = np.arange(x.size).reshape(x.shape)
+    faces = np.concatenate([
+        np.stack([k[:-1, :-1], k[:-1, 1:], k[1:, :-1]], -1).reshape(-1, 3),
+        np.stack([k[1:, 1:], k[1:, :-1], k[:-1, 1:]], -1).reshape(-1, 3),
+    ])  # fmt: skip
+    mesh = np.stack([x, y, z], -1).reshape(-1, 3), faces
+    rng, points = np.random.default_rng(4), {}
+    for name in sorted(truth.T):
+        every = measured_on(*mesh, np.eye(4), rng, count=40_000)
+        middle = transform_points(truth.T[name], truth.centroids[name])
+        near = (np.abs(every[:, :2] - middle[:2]) < [200, 150]).all(1)
+        points[name] = transform_points(invert(truth.T[name]), every[near])
+    surface = sample_mesh(transform_points(T_WORLD_OBJECT, mesh[0]), faces)
+    given = Given(robot=robot(truth, sigma_mm=2.0), surface=surface)
+    pairs = draw_pairs(truth, 4)
+    result = build_network(truth.nodes(points), pairs, given=given)
+    frame = next(f for f in result.network.frames if f.kind == "given")
+    assert (frame.is_world, frame.not_held) == (True, ())
+    assert unused(result.pairs) == set()
+    xi = misplaced(truth, result.measurements, T_WORLD_OBJECT)
+    assert max(np.linalg.norm(x[3:]) for x in xi.values()) < 0.05
+    flat_one = max(truth.T, key=lambda n: truth.T[n][0, 3])
+    alone = build_network([n for n in truth.nodes(points) if n.name == flat_one], [], given=given)
+    assert next(f for f in alone.network.frames if f.kind == "given").not_held
 
 
 def test_a_flat_surface_says_which_directions_it_does_not_hold():

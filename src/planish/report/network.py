@@ -7,9 +7,12 @@ from html import escape
 from planish.evaluation.table import NONE, number
 from planish.registration.network.summary import Loop, NetworkSummary
 from planish.report.html import html_table
+from planish.report.text import count
 
 #: Rows of a table in the report; the rest is in registration.json.
 MOST_ROWS = 12
+#: Standard deviations beyond which a closure is remarkable.
+FAR = 3.0
 #: Names of a loop that are written out.
 MOST_NAMES = 5
 
@@ -34,11 +37,11 @@ def _closures(network: NetworkSummary) -> list[str]:
     if not network.loops:
         return ["No loop of pairs: nothing checks them against each other."] if network.ties else []
     worst = max(network.loops, key=lambda loop: loop.closure_mm)
-    within = sum(loop.sigma <= 1 for loop in network.loops)
+    beyond = sum(loop.sigma > FAR for loop in network.loops)
     return [
-        f"{len(network.loops)} loops close within {worst.closure_mm:.4f} mm (predicted {worst.predicted_mm:.4f} mm for "
-        f"the worst, {_walk(worst)}); {within} of them within one standard deviation. The adjustment leaves at most "
-        f"{max(loop.adjusted_mm for loop in network.loops):.4f} mm in a pair."
+        f"Closure of {count(len(network.loops), 'loop')}: at most {worst.closure_mm:.4f} mm (predicted "
+        f"{worst.predicted_mm:.4f} mm: {_walk(worst)}); {beyond or 'none'} beyond {FAR:g} standard deviations. The "
+        f"adjustment leaves at most {max(loop.adjusted_mm for loop in network.loops):.4f} mm in a pair."
     ]
 
 

@@ -22,7 +22,8 @@ from planish.registration.result import PairResult
 class NetworkOptions(Options):
     """Options of the network adjustment."""
 
-    #: What does not move: the reference, or nothing (inner constraints: each measurement has its own uncertainty).
+    #: What does not move: the reference, or nothing (inner constraints: each measurement has its own uncertainty). A
+    #: frame given from outside comes before both.
     datum: Literal["reference", "free"] = "reference"
     #: Gauss-Newton steps; pairs are good to far less than a degree, so that few are needed.
     max_steps: int = Field(default=20, ge=1)
@@ -173,7 +174,7 @@ def _result(
     moved[free] = cholesky.solve(_right_hand_side(lin, stack.root @ shift, a, b, len(free)))
     left = stack.root @ shift - lin.by_a @ moved[stack.a] - lin.by_b @ moved[stack.b]
     hat = _hat(cholesky, lin, a, b)
-    tests = contradictions(stack, lin, hat, left)
+    tests = contradictions(stack, lin, hat, left, stack.depth(reference))
     variance = _variance_factor(stack, lin, hat, left)
     # Loops that close worse than the pairs' covariances promise speak for errors that those leave out.
     widening = max(1.0, variance)
@@ -186,7 +187,8 @@ def _result(
     joint = JointCovariance(
         members, reference, T, centres, cholesky, widening, np.swapaxes(moved, 1, 2) if stated else None
     )
-    if options.datum == "free":
+    # A frame given from outside is what covariances are asked for: no other datum takes its place.
+    if options.datum == "free" and not names[reference].startswith("<"):
         covariance, moved = _free_network(covariance, moved, centres, joint, names, stack)
     return Adjusted(
         placed,

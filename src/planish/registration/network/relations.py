@@ -69,8 +69,15 @@ def pair_relation(pair: PairResult) -> Relation:
 
 
 def whitening(covariance: Array) -> Array:
-    """Return the root (6, 6) with root C root' = 1."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), np.float64)
+    """Return the root (6, 6) with root C root' = 1; directions without any error get the least that can be computed."""
+    scale = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    values = np.maximum(values, _LEAST_VARIANCE * values[-1])
+    return np.asarray((vectors / np.sqrt(values)).T / scale, np.float64)
+
+
+#: Share of the largest eigenvalue of a correlation matrix below which only rounding is left.
+_LEAST_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True)
@@ -96,6 +103,20 @@ class Stack:
         self.points = np.array([item.point_a for item in relations]).reshape(-1, 3)
         self.root = np.array([item.root for item in relations]).reshape(-1, 6, 6)
         self.dof = np.array([item.dof for item in relations], np.int64)
+
+    def depth(self, start: int) -> int:
+        """Return the number of relations from a member to the one farthest from it."""
+        reached, count = {start}, 0
+        beside: dict[int, set[int]] = {}
+        for a, b in zip(self.a.tolist(), self.b.tolist(), strict=True):
+            beside.setdefault(a, set()).add(b)
+            beside.setdefault(b, set()).add(a)
+        edge = {start}
+        while edge:
+            edge = set().union(*(beside.get(one, set()) for one in edge)) - reached
+            reached |= edge
+            count += bool(edge)
+        return count
 
     def linearise(self, T: Array, centres: Array) -> Linearised:
         """Return residuals and derivatives at T_world (n, 4, 4) with centroids (n, 3) in world."""

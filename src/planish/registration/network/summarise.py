@@ -24,7 +24,7 @@ from planish.registration.network.loops import (
 )
 from planish.registration.network.relations import GIVEN_FRAME, ROBOT_FRAME, Relation
 from planish.registration.network.summary import Advice, Frame, GivenTest, NetworkSummary, Place, Tie
-from planish.registration.network.votes import NO_REDUNDANCY
+from planish.registration.network.votes import LITTLE_REDUNDANCY
 from planish.registration.result import PairResult
 
 #: Names that one sentence lists before it counts.
@@ -114,7 +114,7 @@ def _tie(pair: PairResult, adjusted: Adjusted, residual: float, options: Network
     c = adjusted.contradictions[("pair", pair.a, pair.b, "")]
     detectable = None if c.weakest_mm is None else max(options.blunder_mm, options.blunder_sigma * c.weakest_mm)
     return Tie(
-        a=pair.a, b=pair.b, redundancy=c.redundancy if c.redundancy > NO_REDUNDANCY else 0.0, detectable_mm=detectable,
+        a=pair.a, b=pair.b, redundancy=c.redundancy, detectable_mm=detectable,
         residual_mm=residual,
     )  # fmt: skip
 
@@ -147,12 +147,18 @@ def _hanging(ties: Sequence[Tie], graph: Graph, pairs: Sequence[PairResult]) -> 
     """Return a sentence for each pair whose error nothing would notice."""
     out = []
     for tie in ties:
-        if tie.redundancy:
+        if tie.redundancy > LITTLE_REDUNDANCY:
             continue
-        side = min((side_of(graph, tie.a, tie.b), side_of(graph, tie.b, tie.a)), key=lambda s: (len(s), s))
+        side = side_of(graph, tie.a, tie.b)
+        if tie.b in side:
+            continue
+        side = min((side, side_of(graph, tie.b, tie.a)), key=lambda s: (len(s), s))
         listed = _listed(side)
         what = f"{listed} hangs" if len(side) == 1 else f"{listed} hang"
         sentence = f"{what} on one pair, {tie.a} and {tie.b}: if it is wrong, nothing would notice."
+        if tie.redundancy:
+            unseen = "" if tie.detectable_mm is None else f" by less than {tie.detectable_mm:.1f} mm"
+            sentence = f"{what} on one pair, {tie.a} and {tie.b}: if it is wrong{unseen}, nothing would notice."
         against = [p for p in pairs if p.removed_reason is not None and (p.a in side) != (p.b in side)]
         if against:
             sentence += f" Others that contradict it were taken out: {_listed([f'{p.a} and {p.b}' for p in against])}."

@@ -12,8 +12,8 @@ from planish.registration.network.adjust import Adjusted, NetworkOptions
 from planish.registration.network.loops import graph_of, side_of
 from planish.registration.result import PairResult
 
-#: Redundancy below this is rounding: nothing else ties the two together.
-NO_REDUNDANCY = 1e-5
+#: Of a pair without any other way around it, only what is given from outside, far less certain, controls this much.
+LITTLE_REDUNDANCY = 0.05
 
 
 #: Evidence decides where false alarms are less likely by this much (log10): by as much pairs are accepted at all.
@@ -44,9 +44,11 @@ def outvoted(
     taken_out = [p for p in pairs if p.removed_reason is not None and p.a in graph and p.b in graph]
     for kept in pairs:
         c = adjusted.contradictions.get(("pair", kept.a, kept.b, ""))
-        if not kept.used or c is None or c.redundancy > NO_REDUNDANCY:
+        if not kept.used or c is None or c.redundancy > LITTLE_REDUNDANCY:
             continue
         side = set(side_of(graph, kept.a, kept.b))
+        if kept.b in side:
+            continue
         across = [p for p in taken_out if (p.a in side) != (p.b in side)]
         if not across:
             continue
