@@ -20,7 +20,8 @@ def measurements_section(registration: Registration, prepared: Mapping[str, Prep
     rows = []
     for m in registration.measurements:
         item = prepared[m.name].measurement
-        reference = references[m.group] == m.name
+        # Where a frame given from outside is the world, the reference is as uncertain as the others.
+        reference = references[m.group] == m.name and not m.covariance_noise.any()
         rows.append(
             (
                 name_tag(registration, m.name),

@@ -135,7 +135,7 @@ def _worst_apart(
 ) -> list[tuple[_Suspect, list[tuple[str, str]]]]:
     """Return those to take out now, each with the pairs that contradict the others as much as it does.
 
-    Of suspects nearer than two pairs to a worse one none goes: it may be that one's victim.
+    Where what lies within two pairs of a suspect touches the same of a worse one, it stays: it may be that one's victim.
     """
     near: dict[str, set[str]] = {}
     for p in pairs:
