@@ -28,6 +28,7 @@ from planish.registration.verdict.verify import (
     correlate_windows,
     screening_step,
 )
+from planish.rig import Camera
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Hypothesis:
     log10_by_windows : float
         The same by all its windows alone, against all transforms there are.
     moved_px : float
-        Median motion in the image of what agrees.
+        Median motion of what agrees, in the image of that camera, or on that of the projector, where it moved least.
     """
 
     T_a_b: Array
@@ -137,7 +138,7 @@ def weigh(
         alarms = max(alarms, by_matches)
     return Hypothesis(
         T, candidate.members, candidate.places, members.points_a, windows, alarms, exhaustive,
-        _moved_px(matches, candidate.members, windows),
+        _moved_px(a.measurement, b.measurement, members, windows),
     )  # fmt: skip
 
 
@@ -151,8 +152,9 @@ def as_hypothesis(a: Side, b: Side, T_a_b: Array, options: VerifyOptions) -> Hyp
     T, windows = _fitted(a, b, None, T_a_b, windows, options)
     alarms = log10_by_windows(windows) + log10_transforms(_area_mm2(a.images, b.images), options.agree_mm)
     return Hypothesis(
-        T, np.empty(0, np.int64), 0, np.empty((0, 3)), windows, alarms, alarms, _moved_px(None, None, windows)
-    )
+        T, np.empty(0, np.int64), 0, np.empty((0, 3)), windows, alarms, alarms,
+        _moved_px(a.measurement, b.measurement, None, windows),
+    )  # fmt: skip
 
 
 def _area_mm2(*sides: tuple[TextureImage, ...]) -> float:
@@ -193,13 +195,32 @@ def _window_points(b: Measurement, windows: Windows) -> tuple[Array, Array]:
     return points_a[known], points_b[known]
 
 
-def _moved_px(matches: Matches | None, members: NDArray[np.int64] | None, windows: Windows) -> float:
-    """Median motion in the image of the agreeing windows, or of the matches where there are too few."""
-    moved = np.linalg.norm(windows.found_b - windows.pixels_a, axis=1)[windows.agrees]
-    moved = moved[np.isfinite(moved)]
-    if len(moved) < _MIN_WINDOWS and matches is not None and members is not None:
-        moved = np.linalg.norm((matches.pixels_a - matches.pixels_b)[members], axis=1)
-    return float(np.median(moved)) if len(moved) else np.inf
+def _moved_px(a: Measurement, b: Measurement, members: Matches | None, windows: Windows) -> float:
+    """Median motion of the agreeing windows, or of the matches where there are too few; each where it moved least.
+
+    What is fixed to one device (a camera's dust, the projector's) stands still there, and moves in the others' images.
+    """
+    chosen = windows.agrees & np.isfinite(windows.found_b).all(1)
+    if chosen.sum() >= _MIN_WINDOWS or members is None:
+        pixels_a, pixels_b, points_a = windows.pixels_a[chosen], windows.found_b[chosen], windows.points_a[chosen]
+        points_b = sample(b.points_sensor, pixels_b, nearest_outside=True).astype(float)
+    else:
+        pixels_a, pixels_b, points_a, points_b = members.pixels_a, members.pixels_b, members.points_a, members.points_b
+    if len(pixels_a) == 0:
+        return np.inf
+    motions = [np.linalg.norm(pixels_a - pixels_b, axis=1)]
+    for device_a, device_b in _other_devices(a, b):
+        motions.append(np.linalg.norm(device_a.project(points_a) - device_b.project(points_b), axis=1))
+    return float(np.nanmedian(np.nanmin(motions, axis=0)))
+
+
+def _other_devices(a: Measurement, b: Measurement) -> list[tuple[Camera, Camera]]:
+    """Return the devices besides the organising camera that both measurements were taken with."""
+    names = [n for n in a.rig.cameras if n != a.organised_on and n in b.rig.cameras]
+    pairs = [(a.rig.cameras[n], b.rig.cameras[n]) for n in names]
+    if a.rig.projector is not None and b.rig.projector is not None:
+        pairs.append((a.rig.projector, b.rig.projector))
+    return [(x, y) for x, y in pairs if np.array_equal(x.kernel_parameters, y.kernel_parameters)]
 
 
 def apart(first: Hypothesis, other: Hypothesis, centre_b: Array) -> tuple[float, float]:
