@@ -135,7 +135,7 @@ def _worst_apart(
 ) -> list[tuple[_Suspect, list[tuple[str, str]]]]:
     """Return those to take out now, each with the pairs that contradict the others as much as it does.
 
-    Where what lies within two pairs of a suspect touches the same of a worse one, it stays: it may be that one's victim.
+    A suspect stays where what lies within two pairs of it touches the same of a worse one: it may be its victim.
     """
     near: dict[str, set[str]] = {}
     for p in pairs:
