@@ -140,7 +140,7 @@ def drawn(seeds: int, command: str) -> None:
          "blocks": "blocks of the factor", "mib": "peak memory of the process [MiB]"},
         found, command, {"seconds": ".2f", "ms": ".1f", "mib": ".0f"},
     )  # fmt: skip
-    honest = honesty(seeds)
+    honest = honesty(3 * seeds)
     save_table(
         "network-honesty",
         {"network": "network", "networks": "drawn", "nees": "mean NEES / 6", "worst_mm": "largest error [mm]",

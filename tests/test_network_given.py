@@ -78,6 +78,20 @@ def test_a_wrong_known_point_is_named_and_ignored():
     assert max(np.linalg.norm(x[3:]) for x in xi.values()) < 0.1
 
 
+def test_points_in_other_units_fix_no_frame_and_are_named():
+    """Global coordinates in inches: each point contradicts the others, and what is left holds nothing."""
+    truth = panel(4, 3)
+    given = known_points(truth, count=6)
+    inches = {n: Target(n, t.point_mm / 25.4, t.sigma_mm) for n, t in given.world_targets.items()}
+    result = build_network(truth.nodes(), draw_pairs(truth), given=Given(inches, given.seen_targets))
+    plain = build_network(truth.nodes(), draw_pairs(truth))
+    assert result.network.frames == ()
+    assert any("fixes no frame" in w and "point T" in w for w in result.network.warnings)
+    assert unused(result.pairs) == set()
+    for one, two in zip(plain.measurements, result.measurements, strict=True):
+        np.testing.assert_array_equal(one.T_world_measurement, two.T_world_measurement)
+
+
 def test_points_in_a_line_do_not_fix_a_frame_and_say_so():
     truth = panel(3, 2)
     every = known_points(truth)

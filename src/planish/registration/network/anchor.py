@@ -100,8 +100,25 @@ def adjust_group(
         )
         relations += surface_relations
     found = without_blunders(T, datum, first.pairs, centroids, options, relations)
+    if found.unfixed:
+        return _without_frame(nodes, reference, pairs, options, given, found)
     kept = [item for item in relations if item.key not in found.refuted]
     return _anchored(found, kept, is_world, not_held, remarks)
+
+
+def _without_frame(
+    nodes: Sequence[Placeable],
+    reference: str,
+    pairs: Sequence[PairResult],
+    options: NetworkOptions,
+    given: Given,
+    found: Consistent,
+) -> Anchored:
+    """Return the group in its own world: of what is given, so much contradicts the rest that no frame is left."""
+    anchored = adjust_group(nodes, reference, pairs, options, Given(robot=given.robot))
+    named = ", ".join(f"{item.kind} {item.label or item.b}" for item, _ in found.refuted.values())
+    remark = f"what is given contradicts itself or the pairs ({named}), and what is left fixes no frame: none is used"
+    return replace(anchored, remarks=(*anchored.remarks, remark))
 
 
 def _anchored(

@@ -16,7 +16,7 @@ from planish.registration.network.adjust import Adjusted, NetworkOptions, adjust
 from planish.registration.network.contradictions import Contradiction
 from planish.registration.network.groups import find_groups, start_transforms
 from planish.registration.network.joint import JointCovariance
-from planish.registration.network.relations import GIVEN_FRAME, ROBOT_FRAME, Relation
+from planish.registration.network.relations import GIVEN_FRAME, ROBOT_FRAME, Relation, fixes_given_frame
 from planish.registration.network.votes import outvoted
 from planish.registration.result import PairResult
 
@@ -30,12 +30,14 @@ class Consistent:
     """A group without contradictions.
 
     `pairs` are all that were given, those taken out with `used` false; `refuted` the given relations left out, with
-    their contradiction; `adjusted` is None where the removals cut the group in two.
+    their contradiction; `adjusted` is None where the removals cut the group in two, or, with `unfixed`, left nothing
+    that fixes the frame given from outside.
     """
 
     adjusted: Adjusted | None
     pairs: list[PairResult]
     refuted: dict[Key, tuple[Relation, Contradiction]]
+    unfixed: bool = False
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,8 @@ def without_blunders(
     overruled: set[Key] = set()
     while True:
         kept = [item for item in given if item.key not in refuted]
+        if reference == GIVEN_FRAME and not fixes_given_frame(kept):
+            return Consistent(None, pairs, refuted, unfixed=True)
         adjusted = adjust(_start(names, reference, pairs, frames, start), reference, pairs, centroids, options, kept)
         found = _suspects(adjusted, pairs, kept, options)
         if not found:

@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from planish.geometry import Array
+from planish.geometry import Array, adjoint, translation
 from planish.registration.network.batch import adjoints, inverses, logarithms, shifts
 from planish.registration.result import PairResult
 
@@ -78,6 +78,26 @@ def whitening(covariance: Array) -> Array:
 
 #: Share of the largest eigenvalue of a correlation matrix below which only rounding is left.
 _LEAST_VARIANCE = 1e-12
+
+
+#: A frame that may be off by more than this, in any direction and at any of its points, is not fixed [mm].
+_LOOSE_MM = 2000.0
+
+
+def fixes_given_frame(relations: Sequence[Relation]) -> bool:
+    """Return whether relations of the given frame, were all measurements one body, hold it in all directions."""
+    known = [item for item in relations if item.a == GIVEN_FRAME]
+    if not known:
+        return False
+    points = np.array([item.point_a for item in known])
+    centre = points.mean(0)
+    arm = max(1.0, float(np.sqrt(np.mean(np.sum((points - centre) ** 2, 1)))))
+    scale = np.array([1 / arm] * 3 + [1.0] * 3)
+    information = np.zeros((6, 6))
+    for item in known:
+        J = item.root @ adjoint(translation(centre - item.point_a)) * scale
+        information += J.T @ J
+    return bool(np.linalg.eigvalsh(information)[0] > 1 / _LOOSE_MM**2)
 
 
 @dataclass(frozen=True)
