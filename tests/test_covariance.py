@@ -13,10 +13,10 @@ from planish.geometry import difference
 from planish.registration.pair import prepare, refine_pair
 from planish.registration.refine.covariance import _gradient_scatter, noise_covariance, observability
 from planish.registration.refine.overlap import overlap_extent
-from planish.registration.refine.residuals import joint_side
+from planish.registration.refine.sides import joint_sides
 from planish.registration.refine.solve import RefineOptions, refine
 from planish.registration.surface import fit_surface
-from planish.registration.texture.photometric import local_contrast
+from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.tiles import tile_size_px
 from planish.registration.verdict.geometry import Sight
 from planish.registration.verdict.judge import VerdictOptions, judge_refined
@@ -30,7 +30,7 @@ SLOW_NEES_PER_DOF = (0.8, 1.3)
 def sides(m):
     """What the refinement needs of a measurement, without its keypoints."""
     surface, contrast = fit_surface(m), local_contrast(m)
-    return {s: joint_side(m, surface, contrast, s) for s in RefineOptions().smoothing_px}
+    return joint_sides(m, surface, contrast, RefineOptions().spacing_px, PhotometricOptions().shading_mm)
 
 
 def errors(seeds, factor=1.0):

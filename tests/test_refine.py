@@ -8,13 +8,17 @@ import numpy as np
 import pytest
 
 import sheets
+from planish import _core
 from planish.geometry import difference, exp_se3, invert, perturb
-from planish.registration.pair import PairOptions, prepare, refine_pair
+from planish.registration.pair import prepare, refine_pair
 from planish.registration.refine.covariance import noise_covariance
 from planish.registration.refine.information import information
 from planish.registration.refine.overlap import overlap_extent
-from planish.registration.refine.residuals import Weights, equations, smooth_texture
+from planish.registration.refine.residuals import Weights, equations
+from planish.registration.refine.sides import joint_sides, smooth_texture
 from planish.registration.refine.solve import RefineOptions, refine
+from planish.registration.surface import fit_surface
+from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.rig import Rig
 from reference import joint as reference
 
@@ -24,7 +28,7 @@ RESIDUAL_TOLERANCE = 2e-4
 SUM_TOLERANCE = 1e-4
 #: On planes the distance is linear in xi: what is left is the rounding of float32 points over the step.
 DISTANCE_JACOBIAN_TOLERANCE = 1e-3
-#: The texture's Jacobian is the mean of both sides' gradients, 0.1 mm apart here in a texture smoothed by 5 mm; the
+#: The texture's Jacobian is the mean of both sides' gradients, 0.1 mm apart here in a texture smoothed by 6.5 mm; the
 #: look-up's own derivative is that of one side. Central differences and linear look-up keep 98 % of such a gradient.
 TEXTURE_JACOBIAN_TOLERANCE = 0.04
 #: 1 mm and 0.3 degrees off, about the centre of the overlap.
@@ -41,7 +45,7 @@ def at(a, b, T, about, weights=None, **changes):
         "max_normal_rad": 0.35,
         "stride": 1,
         "tile_px": 8,
-        "residuals": True,
+        "residuals": False,
         "threads": 2,
     }
     return equations(a, b, T, about, weights, **{**settings, **changes})
@@ -52,51 +56,54 @@ def bent():
     return sheets.pair()
 
 
-def clean_sides(bend, smoothing):
-    a, b = (prepare(sheets.quiet(side, bend), sheets.PITCH_MM).sides[smoothing] for side in "ab")
-    inner = np.zeros(b.maps[0].shape[:2], np.uint8)
+def clean_sides(bend):
+    a, b = (prepare(sheets.quiet(side, bend), sheets.PITCH_MM).sides[1] for side in "ab")
+    inner = np.zeros(b.texture.shape, np.uint8)
     # Far from the rim of either image, so that a small motion leaves every pixel in.
     inner[40:-40, 80:-100] = 1
-    return a, replace(b, maps=(*b.maps[:5], inner))
+    return a, replace(b, use=inner)
 
 
 def test_residuals_and_normal_equations_are_those_of_the_definition(bent):
-    a, b = (side.fit_sides[0.8] for side in bent)
+    a, b = (side.fit_sides[1] for side in bent)
     camera = bent[0].measurement.camera
     about = np.array([30.0, 10.0, -5.0])
     T = perturb(sheets.T_TRUE, [1e-4, 2e-4, -1e-4, 0.1, 0.05, 0.02], about)
-    weights = Weights(0.01, 1.5, 700.0, 0.8)
-    found = at(a, b, T, about, weights)
-    rows, columns, d, J, t, J_a, J_b, conflicts = reference.residuals(
+    scale, weight_d, weight_t = 1.5, 0.7, 0.8
+    found = at(a, b, T, about, Weights.alike(b, 8, weight_d, weight_t, scale), residuals=True)
+    rows, columns, d, of_distance, t, of_texture = reference.residuals(
         a.maps, camera, b.maps, T, about, 3.0, np.cos(0.35)
     )
     assert found.points == len(d)
-    assert found.conflicts == conflicts
     assert found.points == np.isfinite(found.distances).sum()
     np.testing.assert_allclose(found.distances[rows, columns], d, atol=RESIDUAL_TOLERANCE)
-    # Differences are in units of their noise: a thousandth of it.
-    np.testing.assert_allclose(found.differences[rows, columns], t, atol=1e-3)
+    np.testing.assert_allclose(found.differences[rows, columns], t, atol=RESIDUAL_TOLERANCE)
     known = np.isfinite(t)
     assert found.texture_points == known.sum()
-    w_d = weights.distance * reference.tukey(d, weights.scale_distance_mm)
-    close(found.H_distance, (J * w_d[:, None]).T @ J)
-    close(found.g_distance, J.T @ (w_d * d))
-    t, J_a, J_b = t[known], J_a[known], J_b[known]
-    w_t = weights.texture * reference.tukey(t, weights.scale_texture)
-    mean = (J_a + J_b) / 2
-    close(found.H_texture, (mean * w_t[:, None]).T @ mean)
-    close(found.g_texture, mean.T @ (w_t * t))
-    step = 1e-5
-    for r, scale, slope in (
-        (d, weights.scale_distance_mm, found.slope_distance),
-        (t, weights.scale_texture, found.slope_texture),
-    ):
+    np.testing.assert_allclose(found.tile_sizes.sum((0, 1))[:, 0], [len(d), known.sum()])
+    np.testing.assert_allclose(
+        found.tile_sizes.sum((0, 1))[:, 1], [np.abs(d).sum(), np.abs(t[known]).sum()], rtol=SUM_TOLERANCE
+    )
+    cost = 0.0
+    for r, jacobians, weight, H, g, unbiased, slope in (
+        (d, of_distance, weight_d, found.H_distance, found.g_distance, found.H_distance_unbiased, found.slope_distance),
+        (
+            t[known], [J[known] for J in of_texture], weight_t, found.H_texture, found.g_texture,
+            found.H_texture_unbiased, found.slope_texture,
+        ),
+    ):  # fmt: skip
+        J, J_a, J_b = jacobians
+        w = weight * reference.tukey(r, scale)
+        close(H, (J * w[:, None]).T @ J)
+        close(g, J.T @ (w * r))
+        cross = (J_a * w[:, None]).T @ J_b
+        close(unbiased, (cross + cross.T) / 2)
+        step = 1e-5
         influence = [x * reference.tukey(x, scale) for x in (r + step * scale, r - step * scale)]
         derivative = (influence[0] - influence[1]) / (2 * step * scale)
-        assert slope == pytest.approx(derivative.sum() / reference.tukey(r, scale).sum(), rel=1e-3)
-    cross = (J_a * w_t[:, None]).T @ J_b
-    close(found.H_texture_unbiased, (cross + cross.T) / 2)
-    assert found.cost == pytest.approx(w_d @ d**2 + w_t @ t**2, rel=1e-3)
+        assert slope == pytest.approx(weight * derivative.sum() / w.sum(), rel=1e-3)
+        cost += w @ r**2
+    assert found.cost == pytest.approx(cost, rel=1e-3)
 
 
 def close(found, expected):
@@ -106,15 +113,15 @@ def close(found, expected):
 
 
 def test_the_gradients_of_the_tiles_add_up_to_the_whole(bent):
-    a, b = (side.fit_sides[2.0] for side in bent)
-    found = at(a, b, sheets.T_TRUE, np.zeros(3), Weights(0.01, 1.5, 700.0, 0.8))
+    a, b = (side.fit_sides[2] for side in bent)
+    found = at(a, b, sheets.T_TRUE, np.zeros(3), Weights.alike(b, 8, 0.7, 0.8, 1.5))
     np.testing.assert_allclose(found.tile_gradients.sum((0, 1)), [found.g_distance, found.g_texture], rtol=1e-9)
 
 
 def test_held_out_pixels_take_no_part(bent):
     a, b = bent
-    everything = at(a.sides[0.8], b.sides[0.8], sheets.T_TRUE, np.zeros(3))
-    fitted = at(a.fit_sides[0.8], b.sides[0.8], sheets.T_TRUE, np.zeros(3))
+    everything = at(a.sides[1], b.sides[1], sheets.T_TRUE, np.zeros(3))
+    fitted = at(a.fit_sides[1], b.sides[1], sheets.T_TRUE, np.zeros(3))
     assert fitted.points / everything.points == pytest.approx(0.8, abs=0.03)
 
 
@@ -124,18 +131,18 @@ def jacobian(a, b, T, about, name, step):
     for k in range(6):
         xi = np.zeros(6)
         xi[k] = step / SCALE[k]
-        ends = [getattr(at(a, b, perturb(T, sign * xi, about), about), name) for sign in (1, -1)]
+        ends = [getattr(at(a, b, perturb(T, sign * xi, about), about, residuals=True), name) for sign in (1, -1)]
         columns.append((ends[0].astype(float) - ends[1]) / (2 * step))
     J = np.stack(columns, -1)
-    r = getattr(at(a, b, T, about), name).astype(float)
+    r = getattr(at(a, b, T, about, residuals=True), name).astype(float)
     known = np.isfinite(J).all(2) & np.isfinite(r)
-    assert known.sum() > 0.98 * (b.maps[5] != 0).sum()
+    assert known.sum() > 0.98 * (b.use != 0).sum()
     return J[known], r[known]
 
 
 @pytest.mark.parametrize("bend", [0.0, sheets.BENT])
 def test_the_jacobian_of_the_distance_is_its_derivative(bend):
-    a, b = clean_sides(bend, 0.8)
+    a, b = clean_sides(bend)
     about = np.array([30.0, 10.0, 0.0])
     # Along the normal and along the surface: both normals stay parallel.
     T = perturb(sheets.T_TRUE, [0, 0, 0.0005, 0.05, 0.03, 0.4], about)
@@ -144,14 +151,24 @@ def test_the_jacobian_of_the_distance_is_its_derivative(bend):
     agree(found.H_distance, found.g_distance, J, r, DISTANCE_JACOBIAN_TOLERANCE)
 
 
+def smooth_side(m):
+    """A measurement whose texture is smoothed by 5 px."""
+    surface, (value, sigma) = fit_surface(m), local_contrast(m)
+    side = joint_sides(m, surface, (value, sigma), (1,), PhotometricOptions().shading_mm)[1]
+    smooth = smooth_texture(value, np.isfinite(value), 5.0)
+    values = side.values.copy()
+    values[..., 7] = sigma**2
+    values[..., 8:11] = _core.tangential_gradient(smooth, surface.tangents_sensor, 1)
+    return replace(side, values=values, texture=smooth)
+
+
 def test_the_jacobian_of_the_texture_is_its_derivative():
     """One measurement against itself a little off, moved in its plane: the look-up follows the surface exactly."""
     # Smooth enough that central differences and interpolation see the same slopes.
-    smooth = PairOptions(refine=RefineOptions(smoothing_px=(4.0,), stride=(1,), max_distance_mm=(1.0,)))
-    a = prepare(sheets.quiet("a", 0.0), sheets.PITCH_MM, smooth).sides[4.0]
-    inner = np.zeros(a.maps[0].shape[:2], np.uint8)
+    a = smooth_side(sheets.quiet("a", 0.0))
+    inner = np.zeros(a.texture.shape, np.uint8)
     inner[20:-20, 20:-20] = 1
-    b = replace(a, maps=(*a.maps[:5], inner))
+    b = replace(a, use=inner)
     about = np.array([10.0, 10.0, 0.0])
     T = perturb(np.eye(4), [0, 0, 0.001, 0.1, -0.05, 0], about)
     J, r = jacobian(a, b, T, about, "differences", 0.1)
@@ -172,7 +189,7 @@ def agree(H, g, J, r, tolerance, motions=range(6)):
 
 def test_noise_of_the_normals_inflates_only_the_plain_information():
     """A noisy plane says nothing about motions along itself."""
-    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0), seed), sheets.PITCH_MM).sides[0.8] for seed in (1, 2))
+    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0), seed), sheets.PITCH_MM).sides[1] for seed in (1, 2))
     found = at(a, b, np.eye(4), np.zeros(3))
     assert abs(found.H_distance_unbiased[3, 3]) < 0.1 * found.H_distance[3, 3]
     assert found.H_distance_unbiased[5, 5] == pytest.approx(found.H_distance[5, 5], rel=1e-4)
@@ -180,7 +197,7 @@ def test_noise_of_the_normals_inflates_only_the_plain_information():
 
 def test_the_gradient_noise_inflates_only_the_plain_information():
     """Two exposures of the same view with pure noise as texture: no information about motions along the plane."""
-    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0, 0.0), seed), sheets.PITCH_MM).sides[0.8] for seed in (1, 2))
+    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0, 0.0), seed), sheets.PITCH_MM).sides[1] for seed in (1, 2))
     found = at(a, b, np.eye(4), np.zeros(3))
     plain, unbiased = found.H_texture[3, 3], found.H_texture_unbiased[3, 3]
     assert abs(unbiased) < 0.05 * plain
@@ -266,10 +283,10 @@ def test_smoothing_averages_known_pixels_only():
 
 def test_distances_pull_nowhere_along_a_noisy_plane():
     """The noise of the normals has a gradient along the plane; its share of the information says that it is noise."""
-    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0), seed), sheets.PITCH_MM).sides[0.8] for seed in (1, 2))
+    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0), seed), sheets.PITCH_MM).sides[1] for seed in (1, 2))
     about = np.zeros(3)
     plain = at(a, b, np.eye(4), about)
-    found = at(a, b, np.eye(4), about, Weights.from_residuals(plain, 0.8))
+    found = at(a, b, np.eye(4), about, Weights.from_residuals(plain, 1.0))
     info = information(found, LEVER_MM)
     held = found.g_distance / SCALE
     along, across = [2, 3, 4], [0, 1, 5]
@@ -283,16 +300,14 @@ def test_distances_pull_nowhere_along_a_noisy_plane():
 
 def test_the_curvature_of_weak_texture_is_that_of_its_gradient():
     """Grain at half of its noise: steps by J'J would fall short, the expected curvature predicts the gradient."""
-    a, b = (
-        prepare(sheets.noisy(sheets.quiet("a", 0.0, 0.004), seed, 4.0), sheets.PITCH_MM).sides[2.0] for seed in (1, 2)
-    )
+    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0, 0.02), seed, 4.0), sheets.PITCH_MM).sides[1] for seed in (1, 2))
     about = np.zeros(3)
-    weights = Weights.from_residuals(at(a, b, np.eye(4), about), 2.0)
+    weights = Weights.from_residuals(at(a, b, np.eye(4), about), a.noise_passed)
     xi = np.array([0, 0, 0, 0.2, 0, 0])
     ends = [at(a, b, perturb(np.eye(4), s * xi, about), about, weights) for s in (1, -1)]
     slope = (ends[0].g_texture - ends[1].g_texture)[3] / 0.4
     middle = at(a, b, np.eye(4), about, weights)
     assert middle.H_texture[3, 3] > 1.5 * slope
     info = information(middle, LEVER_MM)
-    # Two noisy gradients over 50,000 pixels smoothed by 2 px.
+    # Two noisy gradients over 50,000 pixels.
     assert info.texture[3, 3] == pytest.approx(slope, rel=0.15)

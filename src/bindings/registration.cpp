@@ -99,10 +99,8 @@ nb::tuple find_consensus(const In<double, 2>& points_a, const In<double, 2>& poi
 }
 
 planish::JointMaps joint_maps(const nb::tuple& maps) {
-    return {
-        view<float, 3>(nb::cast<In<float, 3>>(maps[0])), view<float, 3>(nb::cast<In<float, 3>>(maps[1])),
-        view<float, 2>(nb::cast<In<float, 2>>(maps[2])), view<float, 3>(nb::cast<In<float, 3>>(maps[3])),
-        view<float, 2>(nb::cast<In<float, 2>>(maps[4])), view<std::uint8_t, 2>(nb::cast<In<std::uint8_t, 2>>(maps[5]))};
+    return {view<float, 3>(nb::cast<In<float, 3>>(maps[0])), view<float, 2>(nb::cast<In<float, 2>>(maps[1])),
+            view<std::uint8_t, 2>(nb::cast<In<std::uint8_t, 2>>(maps[2]))};
 }
 
 Out<double, 2> matrix6(const planish::Matrix6& value) {
@@ -119,59 +117,65 @@ nb::tuple normal_equations(const planish::Normal& n) {
 }
 
 planish::JointOptions joint_options(const nb::tuple& options) {
-    const auto number = [&](int i) { return nb::cast<double>(options[i]); };
-    return {number(0),
-            number(1),
-            number(2),
-            number(3),
-            number(4),
-            number(5),
-            nb::cast<int>(options[6]),
-            nb::cast<int>(options[7])};
+    return {nb::cast<double>(options[0]), nb::cast<double>(options[1]), nb::cast<int>(options[2]),
+            nb::cast<int>(options[3])};
+}
+
+/// (tile rows, tile columns, 4): scale and weight of distance, of texture.
+std::vector<planish::TileWeight> tile_weights(const In<float, 3>& weights) {
+    std::vector<planish::TileWeight> out(weights.shape(0) * weights.shape(1) * 2);
+    for (std::size_t k = 0; k < out.size(); ++k) out[k] = {weights.data()[2 * k], weights.data()[2 * k + 1]};
+    return out;
 }
 
 /// Maps a, camera a, maps b: see planish::JointMaps. Returns normal equations of distance and texture, the unbiased
-/// information of both, correlation, number of conflicts, tile gradients (rows, columns, 6 of the
-/// distance and 6 of the texture) and, if asked for, the
-/// residual maps.
+/// information of both, correlation, tile gradients (rows, columns, 6 of the distance and 6 of the texture), number
+/// and sum of absolute residuals per tile (rows, columns, 2 of the distance and 2 of the texture) and, if asked for,
+/// the residual maps.
 nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
                                  const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
-                                 bool with_residuals, int threads) {
+                                 const In<float, 3>& weights, bool with_residuals, int threads) {
     const auto o = joint_options(options);
+    const auto counted = tile_weights(weights);
     const auto a = joint_maps(maps_a), b = joint_maps(maps_b);
     const Rigid T(T_a_b);
-    Owned<float> distances(with_residuals ? b.points.height : 0, b.points.width, 1);
-    Owned<float> differences(with_residuals ? b.points.height : 0, b.points.width, 1);
+    Owned<float> distances(with_residuals ? b.values.height : 0, b.values.width, 1);
+    Owned<float> differences(with_residuals ? b.values.height : 0, b.values.width, 1);
     planish::JointResult result;
     {
         const auto camera = camera_from(camera_a);
         nb::gil_scoped_release release;
         const planish::Image<float> none;
-        result = planish::joint_normal_equations(a, camera, b, T.R, T.t, {about(0), about(1), about(2)}, o, threads,
-                                                 with_residuals ? distances.image : none,
+        result = planish::joint_normal_equations(a, camera, b, T.R, T.t, {about(0), about(1), about(2)}, o, counted,
+                                                 threads, with_residuals ? distances.image : none,
                                                  with_residuals ? differences.image : none);
     }
     Owned<double> tiles(result.tile_rows, result.tile_columns, 12);
     for (std::size_t i = 0; i < result.tile_gradients.size(); ++i)
         std::copy_n(result.tile_gradients[i].data(), 12, tiles.image.data + 12 * i);
+    Owned<double> sizes(result.tile_rows, result.tile_columns, 4);
+    for (std::size_t i = 0; i < result.tile_sizes.size(); ++i)
+        std::copy_n(result.tile_sizes[i].data(), 4, sizes.image.data + 4 * i);
     const auto& s = result.sums;
     const double norm = std::sqrt(s.correlation_aa * s.correlation_bb);
     return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_distance_unbiased),
-                          matrix6(s.H_texture_unbiased), norm > 0 ? s.correlation_ab / norm : 0.0, s.conflicts,
-                          tiles.maps(), distances.map(), differences.map());
+                          matrix6(s.H_texture_unbiased), norm > 0 ? s.correlation_ab / norm : 0.0, tiles.maps(),
+                          sizes.maps(), distances.map(), differences.map());
 }
 
 /// See planish::joint_pull. Returns the pull (rows x columns, 6, 3) of all tiles and their pixels (rows x columns,).
 nb::tuple joint_pull(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
-                     const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options, int threads) {
+                     const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
+                     const In<float, 3>& weights, int threads) {
     const auto o = joint_options(options);
+    const auto counted = tile_weights(weights);
     const auto a = joint_maps(maps_a), b = joint_maps(maps_b);
     const Rigid T(T_a_b);
     planish::JointPull result;
     {
         const auto camera = camera_from(camera_a);
         nb::gil_scoped_release release;
-        result = planish::joint_pull(a, camera, b, T.R, T.t, {about(0), about(1), about(2)}, o, threads);
+        result = planish::joint_pull(a, camera, b, T.R, T.t, {about(0), about(1), about(2)}, o, counted, threads);
     }
     const auto count = static_cast<int>(result.tiles.size());
     Owned<double> tiles(count, 6, 3);
@@ -275,7 +279,7 @@ void bind_registration(nb::module_& m) {
     m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
           "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
-          "options"_a, "with_residuals"_a, "threads"_a);
+          "options"_a, "weights"_a, "with_residuals"_a, "threads"_a);
     m.def("joint_pull", &joint_pull, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a, "options"_a,
-          "threads"_a);
+          "weights"_a, "threads"_a);
 }

@@ -1,5 +1,6 @@
 #include "core/joint.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -22,104 +23,204 @@ JointSums& JointSums::operator+=(const JointSums& other) {
     correlation_ab += other.correlation_ab;
     correlation_aa += other.correlation_aa;
     correlation_bb += other.correlation_bb;
-    conflicts += other.conflicts;
     return *this;
 }
 
 namespace {
 
-struct Problem {
-    const JointMaps &a, &b;
-    const Camera& camera;
-    Eigen::Matrix3d R;
-    Eigen::Vector3d t, about;
-    JointOptions o;
-    Image<float> distances, differences;
+/// Pixels that are added up together, as many lanes as one instruction takes, and pairs (i <= j) of six.
+constexpr int kBatch = 64, kLanes = 8, kPairs = 21;
+/// Pixels whose places are found before they are compared: so long does memory take to answer.
+constexpr int kAhead = 16;
 
-    void pixel(int v, int u, JointSums& sums, Matrix62& tile) const;
-    void add_texture(int v, int u, const Eigen::Vector2d& at, const Cell& cell, const Eigen::Vector3d& x,
-                     JointSums& sums, Matrix62& tile) const;
+using Lanes = Eigen::Array<float, kLanes, 1>;
+using Column = Eigen::Array<float, kBatch, 1>;
+
+/// Residuals of one kind of up to `kBatch` pixels, in units of their noise, with both sides' derivatives.
+struct Batch {
+    int count = 0;
+    /// x, y, z of the lever; of a's, b's and the mean derivative by a displacement; the residual.
+    std::array<Column, 13> columns;
+
+    Batch() { columns.fill(Column::Zero()); }
+    void add(float residual, const Eigen::Vector3f& lever, const Eigen::Vector3f& a, const Eigen::Vector3f& b,
+             const Eigen::Vector3f& mean) {
+        for (int i = 0; i < 3; ++i) {
+            columns[i][count] = lever[i];
+            columns[3 + i][count] = a[i];
+            columns[6 + i][count] = b[i];
+            columns[9 + i][count] = mean[i];
+        }
+        columns[12][count] = residual;
+        ++count;
+    }
+    [[nodiscard]] Lanes lanes(int column, int first) const { return columns[column].segment<kLanes>(first); }
+    /// Derivatives of eight residuals by xi, from those by a displacement in three columns.
+    [[nodiscard]] std::array<Lanes, 6> jacobian(int column, int first) const {
+        const Lanes x = lanes(0, first), y = lanes(1, first), z = lanes(2, first);
+        const Lanes p = lanes(column, first), q = lanes(column + 1, first), s = lanes(column + 2, first);
+        return {y * s - z * q, z * p - x * s, x * q - y * p, p, q, s};
+    }
 };
 
-void Problem::pixel(int v, int u, JointSums& sums, Matrix62& tile) const {
-    Meeting m;
-    if (!meet(a, b, camera, R, t, o, v, u, m)) return;
-    if (m.conflict) {
-        ++sums.conflicts;
-        return;
+/// Sums over batches, lane by lane.
+struct LaneSums {
+    std::array<Lanes, kPairs> H, unbiased;
+    std::array<Lanes, 6> g;
+    Lanes cost = Lanes::Zero(), weights = Lanes::Zero(), slopes = Lanes::Zero(), absolute = Lanes::Zero();
+    int count = 0;
+
+    LaneSums() {
+        H.fill(Lanes::Zero());
+        unbiased.fill(Lanes::Zero());
+        g.fill(Lanes::Zero());
     }
-    const auto& [x, in_camera, at, cell, normal_a, normal_b, distance, conflict] = m;
-    const Vector6 J = jacobian(x - about, (normal_a + normal_b).normalized());
-    const Influence influence = tukey(distance, o.scale_distance);
-    const double w = o.weight_distance * influence.weight;
-    sums.distance.weights += influence.weight;
-    sums.distance.slopes += influence.slope;
-    sums.distance.H.noalias() += w * J * J.transpose();
-    const Vector6 J_a = jacobian(x - about, normal_a), J_b = jacobian(x - about, normal_b);
-    sums.H_distance_unbiased.noalias() += 0.5 * w * (J_a * J_b.transpose() + J_b * J_a.transpose());
-    const Vector6 g = w * distance * J;
-    sums.distance.g += g;
-    tile.col(0) += g;
-    sums.distance.cost += w * distance * distance;
-    ++sums.distance.count;
-    if (!distances.empty()) *distances.at(v, u) = static_cast<float>(distance);
-    add_texture(v, u, at, cell, x, sums, tile);
+    void add(const Batch& batch, const TileWeight& weight);
+    void add_to(Normal& sums, Matrix6& unbiased_sums, Matrix62& tile, int column, double* sizes) const;
+};
+
+void LaneSums::add(const Batch& batch, const TileWeight& weight) {
+    const float over_scale = 1.0F / (kTukey * weight.scale);
+    const Lanes number = Lanes::LinSpaced(kLanes, 0, kLanes - 1);
+    for (int first = 0; first < batch.count; first += kLanes) {
+        const auto A = batch.jacobian(3, first), B = batch.jacobian(6, first), J = batch.jacobian(9, first);
+        // 1 for pixels, 0 for what an older batch left behind them.
+        const Lanes there = (static_cast<float>(batch.count - first) - number).max(0.0F).min(1.0F);
+        const Lanes r = batch.lanes(12, first), xx = (r * over_scale).square(), y = (1.0F - xx).max(0.0F) * there;
+        const Lanes w = weight.weight * y.square(), wr = w * r;
+        weights += y.square();
+        slopes += y * (1.0F - 5.0F * xx);
+        cost += wr * r;
+        absolute += r.abs() * there;
+        for (int i = 0, pair = 0; i < 6; ++i) {
+            g[i] += wr * J[i];
+            const Lanes wJ = w * J[i], wA = w * A[i], wB = w * B[i];
+            for (int j = i; j < 6; ++j, ++pair) {
+                H[pair] += wJ * J[j];
+                unbiased[pair] += wA * B[j] + wB * A[j];
+            }
+        }
+    }
+    count += batch.count;
 }
 
-void Problem::add_texture(int v, int u, const Eigen::Vector2d& at, const Cell& cell, const Eigen::Vector3d& x,
-                          JointSums& sums, Matrix62& tile) const {
-    const double value_b = *b.texture.at(v, u);
-    const double value_a = cubic(a.texture, at.x(), at.y());
-    const Eigen::Vector3d gradient_a = cell.vector(a.gradient);
-    const float* gb = b.gradient.at(v, u);
-    const Eigen::Vector3d gradient_b = R * Eigen::Vector3d(gb[0], gb[1], gb[2]);
-    const double sigma_a = cell.scalar(a.sigma), sigma_b = *b.sigma.at(v, u);
-    const double sigma = std::sqrt(sigma_a * sigma_a + sigma_b * sigma_b);
-    if (std::isnan(value_a + value_b + gradient_a.sum() + gradient_b.sum() + sigma)) return;
-    const double r = (value_a - value_b) / sigma;
-    const Vector6 J_a = jacobian(x - about, gradient_a / sigma), J_b = jacobian(x - about, gradient_b / sigma);
-    const Vector6 J = 0.5 * (J_a + J_b);
-    const Influence influence = tukey(r, o.scale_texture);
-    const double w = o.weight_texture * influence.weight;
-    sums.texture.weights += influence.weight;
-    sums.texture.slopes += influence.slope;
-    sums.texture.H.noalias() += w * J * J.transpose();
-    sums.H_texture_unbiased.noalias() += 0.5 * w * (J_a * J_b.transpose() + J_b * J_a.transpose());
-    const Vector6 g = w * r * J;
-    sums.texture.g += g;
-    tile.col(1) += g;
-    sums.texture.cost += w * r * r;
-    ++sums.texture.count;
-    if (w > 0) {
-        sums.correlation_ab += value_a * value_b;
-        sums.correlation_aa += value_a * value_a;
-        sums.correlation_bb += value_b * value_b;
+double total(const Lanes& lanes) { return lanes.cast<double>().sum(); }
+
+void LaneSums::add_to(Normal& sums, Matrix6& unbiased_sums, Matrix62& tile, int column, double* sizes) const {
+    for (int i = 0, pair = 0; i < 6; ++i) {
+        const double gradient = total(g[i]);
+        sums.g[i] += gradient;
+        tile(i, column) += gradient;
+        for (int j = i; j < 6; ++j, ++pair) {
+            const double plain = total(H[pair]), cross = 0.5 * total(unbiased[pair]);
+            sums.H(i, j) += plain;
+            unbiased_sums(i, j) += cross;
+            if (i != j) {
+                sums.H(j, i) += plain;
+                unbiased_sums(j, i) += cross;
+            }
+        }
     }
-    if (!differences.empty()) *differences.at(v, u) = static_cast<float>(r);
+    sums.cost += total(cost);
+    sums.weights += total(weights);
+    sums.slopes += total(slopes);
+    sums.count += count;
+    sizes[0] += count;
+    sizes[1] += total(absolute);
+}
+
+struct Problem : JointPair {
+    using JointPair::JointPair;
+    Image<float> distances, differences;
+
+    void add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
+                  std::array<double, 4>& sizes) const;
+    void add_texture(const Meeting& m, Batch& batch, JointSums& sums) const;
+};
+
+/// All pixels of a tile: they lie close together in a, too, whichever way it is turned.
+void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
+                       std::array<double, 4>& sizes) const {
+    LaneSums distance, texture;
+    Batch of_distance, of_texture;
+    const auto flush = [&] {
+        distance.add(of_distance, weights[0]);
+        texture.add(of_texture, weights[1]);
+        of_distance.count = of_texture.count = 0;
+    };
+    const int bottom = std::min(b.values.height, top + o.tile), right = std::min(b.values.width, left + o.tile);
+    std::array<Meeting, kAhead> found;
+    int ahead = 0;
+    const auto compare_found = [&] {
+        for (int i = 0; i < ahead; ++i) {
+            Meeting& m = found[i];
+            if (!compare(m)) continue;
+            const float over_sigma = 1.0F / m.sigma, r = m.distance * over_sigma;
+            of_distance.add(r, (m.x - about).cast<float>(), m.normal_a * over_sigma, m.normal_b * over_sigma,
+                            (m.normal_a + m.normal_b).normalized() * over_sigma);
+            if (!distances.empty()) *distances.at(m.v, m.u) = r;
+            add_texture(m, of_texture, sums);
+            if (of_distance.count == kBatch) flush();
+        }
+        ahead = 0;
+    };
+    for (int v = top; v < bottom; v += o.stride)
+        for (int u = left; u < right; u += o.stride) {
+            if (!find(v, u, found[ahead])) continue;
+            prepare(found[ahead]);
+            if (++ahead == kAhead) compare_found();
+        }
+    compare_found();
+    flush();
+    if (distance.count > 0) distance.add_to(sums.distance, sums.H_distance_unbiased, gradients, 0, &sizes[0]);
+    if (texture.count > 0) texture.add_to(sums.texture, sums.H_texture_unbiased, gradients, 1, &sizes[2]);
+}
+
+void Problem::add_texture(const Meeting& m, Batch& batch, JointSums& sums) const {
+    const float* pb = b.values.at(m.v, m.u);
+    const float value_b = *b.texture.at(m.v, m.u), value_a = cubic(a.texture, m.at.x(), m.at.y());
+    const float variance = m.variance_texture + pb[joint::variance_texture];
+    if (std::isnan(value_a + value_b + variance + m.gradient_a[0] + pb[joint::gradient])) return;
+    const float over_sigma = 1.0F / std::sqrt(variance), r = (value_a - value_b) * over_sigma;
+    const Eigen::Vector3f of_a = m.gradient_a * over_sigma;
+    const Eigen::Vector3f of_b =
+        R_float * Eigen::Vector3f(pb[joint::gradient], pb[joint::gradient + 1], pb[joint::gradient + 2]) * over_sigma;
+    batch.add(r, (m.x - about).cast<float>(), of_a, of_b, 0.5F * (of_a + of_b));
+    sums.correlation_ab += value_a * value_b;
+    sums.correlation_aa += value_a * value_a;
+    sums.correlation_bb += value_b * value_b;
+    if (!differences.empty()) *differences.at(m.v, m.u) = r;
 }
 
 }  // namespace
 
 JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, const JointMaps& b,
                                    const Eigen::Matrix3d& R_a_b, const Eigen::Vector3d& t_a_b,
-                                   const Eigen::Vector3d& about, const JointOptions& options, int threads,
-                                   const Image<float>& distances, const Image<float>& differences) {
+                                   const Eigen::Vector3d& about, const JointOptions& options,
+                                   const std::vector<TileWeight>& weights, int threads, const Image<float>& distances,
+                                   const Image<float>& differences) {
     constexpr float nan = std::numeric_limits<float>::quiet_NaN();
     for (const auto& out : {distances, differences})
         if (!out.empty()) std::fill_n(out.data, out.pixels(), nan);
-    const Problem problem{a, b, camera_a, R_a_b, t_a_b, about, options, distances, differences};
-    const int width = b.points.width, height = b.points.height;
+    Problem problem(a, camera_a, b, R_a_b, t_a_b, about, options);
+    problem.distances = distances;
+    problem.differences = differences;
     JointResult result;
-    result.tile_rows = (height + options.tile - 1) / options.tile;
-    result.tile_columns = (width + options.tile - 1) / options.tile;
-    result.tile_gradients.assign(static_cast<std::size_t>(result.tile_rows) * result.tile_columns, Matrix62::Zero());
+    const int rows = tile_grid(b, options.tile)[0], columns = tile_grid(b, options.tile)[1];
+    const auto tiles = static_cast<std::size_t>(rows) * columns;
+    result.tile_rows = rows;
+    result.tile_columns = columns;
+    result.tile_gradients.assign(tiles, Matrix62::Zero());
+    result.tile_sizes.assign(tiles, {});
     // One block = one row of tiles: its tile sums belong to it alone, and the order of additions is fixed.
     result.sums = parallel_sum<JointSums>(result.tile_rows, 1, threads, [&](std::size_t row, std::size_t) {
         JointSums sums;
         const int top = static_cast<int>(row) * options.tile;
-        for (int v = top; v < std::min(height, top + options.tile); v += options.stride)
-            for (int u = 0; u < width; u += options.stride)
-                problem.pixel(v, u, sums, result.tile_gradients[row * result.tile_columns + u / options.tile]);
+        for (int column = 0; column < columns; ++column) {
+            const std::size_t k = row * columns + column;
+            problem.add_tile(top, column * options.tile, &weights[2 * k], sums, result.tile_gradients[k],
+                             result.tile_sizes[k]);
+        }
         return sums;
     });
     return result;

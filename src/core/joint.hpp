@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <cstdint>
 #include <vector>
 
@@ -13,25 +14,34 @@ using Matrix6 = Eigen::Matrix<double, 6, 6>;
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix62 = Eigen::Matrix<double, 6, 2>;
 
+/// Channels of `JointMaps::values`: what belongs to one pixel lies together.
+namespace joint {
+constexpr int point = 0;              ///< as measured, NaN where none [mm]
+constexpr int variance_distance = 3;  ///< of the point along its normal [mm^2]
+constexpr int normal = 4;             ///< unit, towards the sensor
+constexpr int variance_texture = 7;   ///< of the texture's noise; NaN where there is no texture
+constexpr int gradient = 8;           ///< change of the texture per mm along the surface
+constexpr int channels = 12;          ///< the last one is not used
+}  // namespace joint
+
 /// What the joint refinement needs of one measurement, on its organising camera's pixel grid (all maps of one size).
 struct JointMaps {
-    Image<const float> points;      ///< (H, W, 3) smoothed surface, NaN where none [mm]
-    Image<const float> normals;     ///< (H, W, 3)
-    Image<const float> texture;     ///< (H, W) prefiltered local contrast, NaN where unknown
-    Image<const float> gradient;    ///< (H, W, 3) change of the texture per mm along the surface
-    Image<const float> sigma;       ///< (H, W) noise of the texture
+    Image<const float> values;      ///< (H, W, joint::channels)
+    Image<const float> texture;     ///< (H, W) filtered local contrast, NaN where unknown
     Image<const std::uint8_t> use;  ///< (H, W) 0 = takes no part (held out)
 };
 
 struct JointOptions {
-    double max_distance;     ///< surfaces farther apart than this do not belong together [mm]
-    double min_cosine;       ///< of the angle between the two normals
-    double scale_distance;   ///< robust standard deviation of the distances [mm]; infinite = all weights 1
-    double scale_texture;    ///< robust standard deviation of the normalised texture differences
-    double weight_distance;  ///< weight of a squared distance [1/mm^2]
-    double weight_texture;   ///< weight of a squared normalised texture difference
-    int stride;              ///< every n-th pixel of b along both axes
-    int tile;                ///< edge of a tile of b [px]; multiple of stride
+    double max_distance;  ///< surfaces farther apart than this do not belong together [mm]
+    double min_cosine;    ///< of the angle between the two normals
+    int stride;           ///< every n-th pixel of b along both axes
+    int tile;             ///< edge of a tile of b [px]; multiple of stride
+};
+
+/// How residuals count in one tile of b, of one kind.
+struct TileWeight {
+    float scale;   ///< robust standard deviation of the residuals over their noise; infinite = all weigh alike
+    float weight;  ///< of a squared residual over its noise
 };
 
 /// Normal equations of one kind of residual: H = J'WJ, g = J'Wr. `weights` and `slopes` are the sums of the robust
@@ -49,7 +59,6 @@ struct JointSums {
     /// `distance` and `texture` it is not inflated by that noise.
     Matrix6 H_distance_unbiased = Matrix6::Zero(), H_texture_unbiased = Matrix6::Zero();
     double correlation_ab = 0, correlation_aa = 0, correlation_bb = 0;
-    std::int64_t conflicts = 0;  ///< points of b that should hide or pierce the surface of a
     JointSums& operator+=(const JointSums& other);
 };
 
@@ -57,18 +66,27 @@ struct JointResult {
     JointSums sums;
     /// J'Wr of distance and texture (columns) per tile of b, row by row, for the clustered covariance.
     std::vector<Matrix62> tile_gradients;
+    /// Number and sum of absolute values of the residuals over their noise per tile: distance, texture.
+    std::vector<std::array<double, 4>> tile_sizes;
     int tile_rows = 0, tile_columns = 0;
 };
 
 /// Residuals of surface distance and texture of b against a under T_a_b, and their derivatives with respect to
 /// xi = [rotation, translation] in frame a about the point `about` (DESIGN section 4).
 ///
-/// Each pixel of b is moved into a, projected into a's camera and looked up there. Gradients and normals are the mean
-/// of both sides, which makes the estimate symmetric and second order (Malis 2004; Rusinkiewicz 2019). If `distances`
+/// Each pixel of b is moved into a, projected into a's camera and looked up there. Residuals are in units of their
+/// noise. Gradients and normals are the mean of both sides, which makes the estimate symmetric and second order (Malis
+/// 2004; Rusinkiewicz 2019). `weights` (tile rows, tile columns, 2) are those of distance and texture. If `distances`
 /// and `differences` are not empty (size of b's maps), residuals are written there, NaN where there is none.
 JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, const JointMaps& b,
                                    const Eigen::Matrix3d& R_a_b, const Eigen::Vector3d& t_a_b,
-                                   const Eigen::Vector3d& about, const JointOptions& options, int threads,
-                                   const Image<float>& distances, const Image<float>& differences);
+                                   const Eigen::Vector3d& about, const JointOptions& options,
+                                   const std::vector<TileWeight>& weights, int threads, const Image<float>& distances,
+                                   const Image<float>& differences);
+
+/// Rows and columns of the tiles of b's maps.
+inline std::array<int, 2> tile_grid(const JointMaps& b, int tile) {
+    return {(b.values.height + tile - 1) / tile, (b.values.width + tile - 1) / tile};
+}
 
 }  // namespace planish

@@ -8,16 +8,23 @@
 
 namespace planish {
 
+/// Tukey's biweight is 0 from so many scales on (95 % efficiency under normal noise, Holland and Welsch 1977).
+constexpr float kTukey = 4.685F;
+
 struct Influence {
-    double weight;  ///< psi(r) / r
-    double slope;   ///< psi'(r)
+    float weight;  ///< psi(r) / r
+    float slope;   ///< psi'(r)
 };
 
-/// Tukey's biweight: 1 at 0, 0 from 4.685 scales on (95 % efficiency under normal noise, Holland and Welsch 1977).
-inline Influence tukey(double residual, double scale) {
-    const double x = residual / (4.685 * scale), xx = x * x;
-    const double y = 1.0 - xx;
-    return y > 0 ? Influence{y * y, y * (1.0 - 5.0 * xx)} : Influence{0, 0};
+/// Tukey's biweight: 1 at 0.
+inline Influence tukey(float residual, float scale) {
+    const float x = residual / (kTukey * scale), xx = x * x;
+    const float y = 1.0F - xx;
+    return y > 0 ? Influence{y * y, y * (1.0F - 5.0F * xx)} : Influence{0, 0};
+}
+
+inline Eigen::Vector3d vector_of(const float* pixel, int channel) {
+    return {pixel[channel], pixel[channel + 1], pixel[channel + 2]};
 }
 
 /// Four pixels around a place, and their weights in linear interpolation.
@@ -26,80 +33,145 @@ struct Cell {
     std::array<float, 4> w{};
 
     Cell() = default;
-    Cell(double x, double y) : u(static_cast<int>(std::floor(x))), v(static_cast<int>(std::floor(y))) {
+    Cell(double x, double y) : u(static_cast<int>(x)), v(static_cast<int>(y)) {  // neither is negative
         const auto fx = static_cast<float>(x - u), fy = static_cast<float>(y - v);
         w = {(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy};
     }
-    [[nodiscard]] Eigen::Vector3d vector(const Image<const float>& map) const {
+    /// The four pixels' first channel, in the order of the weights.
+    [[nodiscard]] std::array<const float*, 4> corners(const Image<const float>& map) const {
         const float *p = map.at(v, u), *q = map.at(v + 1, u);
-        Eigen::Vector3d out;
-        for (int i = 0; i < 3; ++i) out[i] = w[0] * p[i] + w[1] * p[i + 3] + w[2] * q[i] + w[3] * q[i + 3];
-        return out;
-    }
-    [[nodiscard]] double scalar(const Image<const float>& map) const {
-        const float *p = map.at(v, u), *q = map.at(v + 1, u);
-        return w[0] * p[0] + w[1] * p[1] + w[2] * q[0] + w[3] * q[1];
+        return {p, p + map.channels, q, q + map.channels};
     }
 };
 
-/// Cubic convolution (Keys 1981, a = -1/2); NaN where one of the 16 values is.
-inline double cubic(const Image<const float>& map, double x, double y) {
-    const int u = static_cast<int>(std::floor(x)), v = static_cast<int>(std::floor(y));
-    const auto weights = [](float f) -> std::array<float, 4> {
-        const float f2 = f * f, f3 = f2 * f;
-        return {-0.5F * f3 + f2 - 0.5F * f, 1.5F * f3 - 2.5F * f2 + 1.0F, -1.5F * f3 + 2.0F * f2 + 0.5F * f,
-                0.5F * f3 - 0.5F * f2};
-    };
-    const auto wx = weights(static_cast<float>(x - u)), wy = weights(static_cast<float>(y - v));
-    float sum = 0;
-    for (int j = 0; j < 4; ++j) {
-        const float* p = map.at(v - 1 + j, u - 1);
-        sum += wy[j] * (wx[0] * p[0] + wx[1] * p[1] + wx[2] * p[2] + wx[3] * p[3]);
-    }
-    return sum;
+/// Weights of cubic convolution (Keys 1981, a = -1/2) for a place the fraction f behind the second of four pixels.
+inline std::array<float, 4> cubic_weights(float f) {
+    const float f2 = f * f, f3 = f2 * f;
+    return {-0.5F * f3 + f2 - 0.5F * f, 1.5F * f3 - 2.5F * f2 + 1.0F, -1.5F * f3 + 2.0F * f2 + 0.5F * f,
+            0.5F * f3 - 0.5F * f2};
 }
 
-inline Vector6 jacobian(const Eigen::Vector3d& lever, const Eigen::Vector3d& direction) {
-    const Eigen::Vector3d moment = lever.cross(direction);
-    Vector6 J;
-    for (int i = 0; i < 3; ++i) {
-        J[i] = moment[i];
-        J[i + 3] = direction[i];
+/// Cubic convolution; NaN where one of the 16 values is.
+inline float cubic(const Image<const float>& map, double x, double y) {
+    const int u = static_cast<int>(x), v = static_cast<int>(y);
+    const auto wx = cubic_weights(static_cast<float>(x - u)), wy = cubic_weights(static_cast<float>(y - v));
+    std::array<float, 4> along{};
+    for (int j = 0; j < 4; ++j) {
+        const float* p = map.at(v - 1 + j, u - 1);
+        for (int i = 0; i < 4; ++i) along[i] += wy[j] * p[i];
     }
-    return J;
+    return along[0] * wx[0] + along[1] * wx[1] + along[2] * wx[2] + along[3] * wx[3];
+}
+
+using Row6 = std::array<float, 8>;  ///< six numbers, filled up to what one instruction takes
+
+inline Row6 jacobian(const Eigen::Vector3f& lever, const Eigen::Vector3f& direction) {
+    return {lever[1] * direction[2] - lever[2] * direction[1],
+            lever[2] * direction[0] - lever[0] * direction[2],
+            lever[0] * direction[1] - lever[1] * direction[0],
+            direction[0],
+            direction[1],
+            direction[2],
+            0,
+            0};
+}
+
+/// Asks for what will be read soon.
+inline void prefetch([[maybe_unused]] const void* place) {
+#if defined(__GNUC__)
+    __builtin_prefetch(place);
+#endif
 }
 
 /// Where a pixel of b, moved into a, meets the surface of a.
 struct Meeting {
+    int v = 0, u = 0;              ///< the pixel of b
     Eigen::Vector3d x, in_camera;  ///< the point of b, in frame a and in a's camera
     Eigen::Vector2d at;            ///< its pixel there
     Cell cell;
-    Eigen::Vector3d normal_a, normal_b;  ///< in frame a
-    double distance = 0;                 ///< along a's normal
-    bool conflict = false;               ///< the surfaces hide or pierce one another here
+    Eigen::Vector3f normal_a, normal_b;  ///< in frame a
+    Eigen::Vector3f gradient_a;          ///< of a's texture
+    float variance_texture = 0;          ///< of a's texture
+    float distance = 0;                  ///< along a's normal [mm]
+    float sigma = 0;                     ///< its standard deviation [mm]
 };
 
-/// False where the two have nothing in common at pixel (v, u) of b.
-inline bool meet(const JointMaps& a, const JointMaps& b, const Camera& camera, const Eigen::Matrix3d& R,
-                 const Eigen::Vector3d& t, const JointOptions& o, int v, int u, Meeting& m) {
-    const float* p = b.points.at(v, u);
-    if (std::isnan(p[2]) || *b.use.at(v, u) == 0) return false;
-    m.x = R * Eigen::Vector3d(p[0], p[1], p[2]) + t;
-    m.in_camera = camera.to_camera(m.x);
-    if (!(m.in_camera.z() > 0)) return false;
-    m.at = camera.to_pixel(camera.distort({m.in_camera.x() / m.in_camera.z(), m.in_camera.y() / m.in_camera.z()}));
-    if (!(m.at.x() >= 1 && m.at.y() >= 1 && m.at.x() < a.points.width - 2 && m.at.y() < a.points.height - 2))
-        return false;
-    m.cell = Cell(m.at.x(), m.at.y());
-    if (*a.use.at(m.cell.v, m.cell.u) == 0) return false;
-    const Eigen::Vector3d q = m.cell.vector(a.points);
-    m.normal_a = m.cell.vector(a.normals);
-    if (std::isnan(q.z()) || std::isnan(m.normal_a.z())) return false;
-    const float* n = b.normals.at(v, u);
-    m.normal_b = R * Eigen::Vector3d(n[0], n[1], n[2]);
-    m.distance = m.normal_a.dot(m.x - q);
-    m.conflict = std::fabs(m.distance) > o.max_distance || m.normal_a.dot(m.normal_b) < o.min_cosine;
-    return true;
-}
+/// One measurement b against another one a.
+struct JointPair {
+    const JointMaps &a, &b;
+    const Camera& camera;
+    Eigen::Matrix3d R;
+    Eigen::Matrix3f R_float;
+    Eigen::Vector3d t, about;
+    JointOptions o;
+
+    JointPair(const JointMaps& a_, const Camera& camera_, const JointMaps& b_, const Eigen::Matrix3d& R_,
+              const Eigen::Vector3d& t_, const Eigen::Vector3d& about_, const JointOptions& o_)
+        : a(a_), b(b_), camera(camera_), R(R_), R_float(R_.cast<float>()), t(t_), about(about_), o(o_) {}
+
+    /// Finds where pixel (v, u) of b lies in a's image; false where there is nothing to be compared with.
+    [[nodiscard]] bool find(int v, int u, Meeting& m) const {
+        const float* p = b.values.at(v, u);
+        if (std::isnan(p[2]) || *b.use.at(v, u) == 0) return false;
+        m.x = R * vector_of(p, joint::point) + t;
+        m.in_camera = camera.to_camera(m.x);
+        if (!(m.in_camera.z() > 0)) return false;
+        const double over_z = 1.0 / m.in_camera.z();
+        m.at = camera.to_pixel(camera.distort({m.in_camera.x() * over_z, m.in_camera.y() * over_z}));
+        if (!(m.at.x() >= 1 && m.at.y() >= 1 && m.at.x() < a.values.width - 2 && m.at.y() < a.values.height - 2))
+            return false;
+        m.cell = Cell(m.at.x(), m.at.y());
+        m.v = v;
+        m.u = u;
+        return *a.use.at(m.cell.v, m.cell.u) != 0;
+    }
+
+    /// Asks for what `compare` reads of a.
+    void prepare(const Meeting& m) const {
+        for (int row = 0; row < 2; ++row) {
+            const float* p = a.values.at(m.cell.v + row, m.cell.u);
+            prefetch(p);
+            prefetch(p + 2 * joint::channels - 1);
+        }
+        for (int row = -1; row < 3; ++row) prefetch(a.texture.at(m.cell.v + row, m.cell.u));
+    }
+
+    /// Looks a's surface up; false where there is none, or the two would hide or pierce one another.
+    [[nodiscard]] bool compare(Meeting& m) const {
+        const float* p = b.values.at(m.v, m.u);
+        const float variance_a = look_up(m);
+        if (std::isnan(m.distance)) return false;
+        m.normal_b = R_float * Eigen::Vector3f(p[joint::normal], p[joint::normal + 1], p[joint::normal + 2]);
+        m.sigma = std::sqrt(variance_a + p[joint::variance_distance]);
+        return std::fabs(m.distance) <= o.max_distance && m.normal_a.dot(m.normal_b) >= o.min_cosine;
+    }
+
+  private:
+    /// The surface between four pixels: half way between the chord through their points, which cuts a curved surface
+    /// off, and their planes, which exceed it by as much: exact to the second order. Returns the variance of a's points
+    /// along the normal.
+    float look_up(Meeting& m) const {
+        const auto corners = m.cell.corners(a.values);
+        using Four = Eigen::Array4f;
+        // Three times four channels: point and its variance, normal and the texture's variance, gradient.
+        Four normals = Four::Zero(), gradients = Four::Zero(), chord = Four::Zero(), planes = Four::Zero();
+        const Eigen::Array4d x(m.x[0], m.x[1], m.x[2], 0);
+        for (int k = 0; k < 4; ++k) {
+            const float w = m.cell.w[k];
+            const Four q = Four::Map(corners[k]), n = Four::Map(corners[k] + 4), g = Four::Map(corners[k] + 8);
+            const Four off = (x - q.cast<double>()).cast<float>();
+            planes += w * n * off;
+            chord += w * off;
+            normals += w * n;
+            gradients += w * g;
+        }
+        const Four chords = normals * chord;
+        m.normal_a = normals.head<3>();
+        m.gradient_a = gradients.head<3>();
+        m.variance_texture = normals[3];
+        m.distance = 0.5F * (planes[0] + planes[1] + planes[2] + chords[0] + chords[1] + chords[2]);
+        return -chord[3];
+    }
+};
 
 }  // namespace planish

@@ -27,16 +27,14 @@ struct Sloped {
 };
 
 Sloped cubic_with_slopes(const Image<const float>& map, double x, double y) {
-    const int u = static_cast<int>(std::floor(x)), v = static_cast<int>(std::floor(y));
-    using Four = std::array<double, 4>;
-    const auto weights = [](double f) -> Four {
-        return {((-0.5 * f + 1.0) * f - 0.5) * f, (1.5 * f - 2.5) * f * f + 1.0, ((-1.5 * f + 2.0) * f + 0.5) * f,
-                (0.5 * f - 0.5) * f * f};
+    const int u = static_cast<int>(x), v = static_cast<int>(y);
+    using Four = std::array<float, 4>;
+    const auto slopes = [](float f) -> Four {
+        return {(-1.5F * f + 2.0F) * f - 0.5F, (4.5F * f - 5.0F) * f, (-4.5F * f + 4.0F) * f + 0.5F,
+                (1.5F * f - 1.0F) * f};
     };
-    const auto slopes = [](double f) -> Four {
-        return {(-1.5 * f + 2.0) * f - 0.5, (4.5 * f - 5.0) * f, (-4.5 * f + 4.0) * f + 0.5, (1.5 * f - 1.0) * f};
-    };
-    const Four wx = weights(x - u), wy = weights(y - v), sx = slopes(x - u), sy = slopes(y - v);
+    const auto fx = static_cast<float>(x - u), fy = static_cast<float>(y - v);
+    const Four wx = cubic_weights(fx), wy = cubic_weights(fy), sx = slopes(fx), sy = slopes(fy);
     Sloped out{0, 0, 0};
     for (int j = 0; j < 4; ++j) {
         const float* p = map.at(v - 1 + j, u - 1);
@@ -49,61 +47,73 @@ Sloped cubic_with_slopes(const Image<const float>& map, double x, double y) {
 }
 
 /// Slopes (3, 2) along u and v of a linearly interpolated vector.
-Eigen::Matrix<double, 3, 2> slopes_of(const Image<const float>& map, const Cell& cell) {
-    const float *p = map.at(cell.v, cell.u), *q = map.at(cell.v + 1, cell.u);
-    const double below = cell.w[2] + cell.w[3], right = cell.w[1] + cell.w[3];
+Eigen::Matrix<double, 3, 2> slopes_of(const Image<const float>& map, const Cell& cell, int channel) {
+    const auto q = cell.corners(map);
+    const float below = cell.w[2] + cell.w[3], right = cell.w[1] + cell.w[3];
     Eigen::Matrix<double, 3, 2> out;
     for (int i = 0; i < 3; ++i) {
-        out(i, 0) = (1 - below) * (p[i + 3] - p[i]) + below * (q[i + 3] - q[i]);
-        out(i, 1) = (1 - right) * (q[i] - p[i]) + right * (q[i + 3] - p[i + 3]);
+        const int c = channel + i;
+        out(i, 0) = (1 - below) * (q[1][c] - q[0][c]) + below * (q[3][c] - q[2][c]);
+        out(i, 1) = (1 - right) * (q[2][c] - q[0][c]) + right * (q[3][c] - q[1][c]);
     }
     return out;
 }
 
-struct Problem {
-    const JointMaps &a, &b;
-    const Camera& camera;
-    Eigen::Matrix3d R;
-    Eigen::Vector3d t, about;
-    JointOptions o;
+Matrix63 outer(const Row6& J, const Eigen::RowVector3d& row) {
+    Matrix63 out;
+    for (int i = 0; i < 6; ++i) out.row(i) = J[i] * row;
+    return out;
+}
 
-    void add_texture(int v, int u, const Meeting& m, Matrix63& pull) const;
+struct Problem : JointPair {
+    using JointPair::JointPair;
+
+    void add_distance(const Meeting& m, const TileWeight& weight, Matrix63& pull) const;
+    void add_texture(int v, int u, const Meeting& m, const TileWeight& weight, Matrix63& pull) const;
 };
 
-void Problem::add_texture(int v, int u, const Meeting& m, Matrix63& pull) const {
+void Problem::add_distance(const Meeting& m, const TileWeight& weight, Matrix63& pull) const {
+    const float slope = tukey(m.distance / m.sigma, weight.scale).slope;
+    const Row6 J = jacobian((m.x - about).cast<float>(), (m.normal_a + m.normal_b).normalized());
+    pull += outer(J, weight.weight * slope / (m.sigma * m.sigma) * m.normal_a.cast<double>().transpose());
+}
+
+void Problem::add_texture(int v, int u, const Meeting& m, const TileWeight& weight, Matrix63& pull) const {
+    const float* pb = b.values.at(v, u);
     const double value_b = *b.texture.at(v, u);
     const Sloped value_a = cubic_with_slopes(a.texture, m.at.x(), m.at.y());
-    const Eigen::Vector3d gradient_a = m.cell.vector(a.gradient);
-    const float* gb = b.gradient.at(v, u);
-    const Eigen::Vector3d gradient_b = R * Eigen::Vector3d(gb[0], gb[1], gb[2]);
-    const double sigma_a = m.cell.scalar(a.sigma), sigma_b = *b.sigma.at(v, u);
-    const double sigma = std::sqrt(sigma_a * sigma_a + sigma_b * sigma_b);
-    if (std::isnan(value_a.value + value_b + gradient_a.sum() + gradient_b.sum() + sigma)) return;
-    const double r = (value_a.value - value_b) / sigma;
-    const Influence influence = tukey(r, o.scale_texture);
+    const double variance = m.variance_texture + pb[joint::variance_texture];
+    const double known = value_a.value + value_b + variance + m.gradient_a[0] + pb[joint::gradient];
+    if (std::isnan(known)) return;
+    const double sigma = std::sqrt(variance), r = (value_a.value - value_b) / sigma;
+    const Influence influence = tukey(static_cast<float>(r), weight.scale);
     if (influence.weight == 0) return;
     const Matrix23 by_point = pixel_by_point(camera, m.in_camera) / sigma;
-    const Eigen::Vector3d lever = m.x - about;
-    const Vector6 J = jacobian(lever, 0.5 / sigma * (gradient_a + gradient_b));
-    const Eigen::RowVector3d row = Eigen::RowVector2d(value_a.du, value_a.dv) * by_point;
-    pull.noalias() += o.weight_texture * influence.slope * J * row;
+    const Eigen::Vector3f lever = (m.x - about).cast<float>();
+    const Eigen::Vector3d gradient = m.gradient_a.cast<double>() + R * vector_of(pb, joint::gradient);
+    const Row6 J = jacobian(lever, (0.5 / sigma * gradient).cast<float>());
+    pull += outer(J, weight.weight * influence.slope * Eigen::RowVector2d(value_a.du, value_a.dv) * by_point);
     // a's gradient is looked up at the same place, so that it changes too.
     const Eigen::Matrix3d turn =
-        0.5 * o.weight_texture * influence.weight * r * slopes_of(a.gradient, m.cell) * by_point;
-    for (int i = 0; i < 3; ++i) pull.col(i) += jacobian(lever, turn.col(i));
+        0.5 * weight.weight * influence.weight * r * slopes_of(a.values, m.cell, joint::gradient) * by_point;
+    for (int i = 0; i < 3; ++i) {
+        const Row6 turned = jacobian(lever, turn.col(i).cast<float>());
+        for (int k = 0; k < 6; ++k) pull(k, i) += turned[k];
+    }
 }
 
 }  // namespace
 
 JointPull joint_pull(const JointMaps& a, const Camera& camera_a, const JointMaps& b, const Eigen::Matrix3d& R_a_b,
                      const Eigen::Vector3d& t_a_b, const Eigen::Vector3d& about, const JointOptions& options,
-                     int threads) {
-    const Problem problem{a, b, camera_a, R_a_b, t_a_b, about, options};
-    const int width = b.points.width, height = b.points.height, tile = options.tile;
+                     const std::vector<TileWeight>& weights, int threads) {
+    const Problem problem(a, camera_a, b, R_a_b, t_a_b, about, options);
+    const int width = b.values.width, height = b.values.height, tile = options.tile;
     JointPull result;
-    result.tile_rows = (height + tile - 1) / tile;
-    result.tile_columns = (width + tile - 1) / tile;
-    const auto count = static_cast<std::size_t>(result.tile_rows) * result.tile_columns;
+    const auto [rows, columns] = tile_grid(b, tile);
+    result.tile_rows = rows;
+    result.tile_columns = columns;
+    const auto count = static_cast<std::size_t>(rows) * columns;
     result.tiles.assign(count, Matrix63::Zero());
     result.pixel.assign(count, -1);
     std::vector<int> nearest(count, std::numeric_limits<int>::max());
@@ -113,17 +123,15 @@ JointPull joint_pull(const JointMaps& a, const Camera& camera_a, const JointMaps
         for (int v = static_cast<int>(begin) * tile; v < std::min(height, static_cast<int>(end) * tile);
              v += options.stride)
             for (int u = 0; u < width; u += options.stride) {
-                if (!meet(a, b, camera_a, R_a_b, t_a_b, options, v, u, m) || m.conflict) continue;
+                if (!problem.find(v, u, m) || !problem.compare(m)) continue;
                 const auto k = static_cast<std::size_t>(v / tile) * result.tile_columns + u / tile;
                 const int off = std::abs(v % tile - tile / 2) + std::abs(u % tile - tile / 2);
                 if (off < nearest[k]) {
                     nearest[k] = off;
                     result.pixel[k] = static_cast<std::int64_t>(v) * width + u;
                 }
-                const double slope = tukey(m.distance, options.scale_distance).slope;
-                const Vector6 J = jacobian(m.x - about, (m.normal_a + m.normal_b).normalized());
-                result.tiles[k].noalias() += options.weight_distance * slope * J * m.normal_a.transpose();
-                problem.add_texture(v, u, m, result.tiles[k]);
+                problem.add_distance(m, weights[2 * k], result.tiles[k]);
+                problem.add_texture(v, u, m, weights[2 * k + 1], result.tiles[k]);
             }
     });
     return result;

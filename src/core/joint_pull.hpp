@@ -20,6 +20,6 @@ struct JointPull {
 /// and normals do not.
 JointPull joint_pull(const JointMaps& a, const Camera& camera_a, const JointMaps& b, const Eigen::Matrix3d& R_a_b,
                      const Eigen::Vector3d& t_a_b, const Eigen::Vector3d& about, const JointOptions& options,
-                     int threads);
+                     const std::vector<TileWeight>& weights, int threads);
 
 }  // namespace planish

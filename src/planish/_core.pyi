@@ -88,7 +88,7 @@ def find_consensus(
     threads: int,
 ) -> tuple[F64, NDArray[np.int32]]: ...
 
-_Maps = tuple[F32, F32, F32, F32, F32, NDArray[np.uint8]]
+_Maps = tuple[F32, F32, NDArray[np.uint8]]
 _Normal = tuple[F64, F64, float, int, float]
 
 def joint_normal_equations(
@@ -97,17 +97,19 @@ def joint_normal_equations(
     maps_b: _Maps,
     T_a_b: F64,
     about: F64,
-    options: tuple[float, float, float, float, float, float, int, int],
+    options: tuple[float, float, int, int],
+    weights: F32,
     with_residuals: bool,
     threads: int,
-) -> tuple[_Normal, _Normal, F64, F64, float, int, F64, F32, F32]: ...
+) -> tuple[_Normal, _Normal, F64, F64, float, F64, F64, F32, F32]: ...
 def joint_pull(
     maps_a: _Maps,
     camera_a: F64,
     maps_b: _Maps,
     T_a_b: F64,
     about: F64,
-    options: tuple[float, float, float, float, float, float, int, int],
+    options: tuple[float, float, int, int],
+    weights: F32,
     threads: int,
 ) -> tuple[F64, NDArray[np.int64]]: ...
 

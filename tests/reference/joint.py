@@ -44,43 +44,59 @@ def _jacobian(lever, direction):
     return np.hstack([np.cross(lever, direction), direction])
 
 
-def residuals(maps_a, camera_a, maps_b, T_a_b, about, max_distance, min_cosine):
-    """Residuals of b against a: rows, columns of b, distance with Jacobian, difference with both Jacobians, conflicts.
+def _between(values, u, v, x):
+    """Distances (N,) of points x (N, 3) from the surface between four pixels, along its normal; normals (N, 3).
 
-    The difference is NaN where a texture is unknown.
+    Half way between the chord of the four points and their planes.
     """
-    points_a, normals_a, texture_a, gradient_a, sigma_a, use_a = maps_a
-    points_b, normals_b, texture_b, gradient_b, sigma_b, use_b = maps_b
+    column, row = np.floor(u).astype(int), np.floor(v).astype(int)
+    normal = bilinear(values[..., 4:7], u, v)
+    chord = (normal * (x - bilinear(values[..., 0:3], u, v))).sum(1)
+    planes = np.zeros(len(u))
+    for j in range(2):
+        for i in range(2):
+            corner = values[row + j, column + i].astype(float)
+            weight = np.abs(1 - i - (u - column)) * np.abs(1 - j - (v - row))
+            planes += weight * (corner[:, 4:7] * (x - corner[:, 0:3])).sum(1)
+    return (chord + planes) / 2, normal
+
+
+def residuals(maps_a, camera_a, maps_b, T_a_b, about, max_distance, min_cosine):
+    """Residuals of b against a: rows, columns of b, distance with three Jacobians, difference with three Jacobians.
+
+    Residuals and Jacobians are in units of the residuals' noise; a Jacobian is that of the mean, of a's and of b's
+    normal or gradient. The difference is NaN where a texture is unknown.
+    """
+    (values_a, texture_a, use_a), (values_b, texture_b, use_b) = maps_a, maps_b
     R = T_a_b[:3, :3]
-    rows, columns = np.nonzero(np.isfinite(points_b[..., 2]) & (use_b != 0))
-    x = points_b[rows, columns].astype(float) @ R.T + T_a_b[:3, 3]
+    rows, columns = np.nonzero(np.isfinite(values_b[..., 2]) & (use_b != 0))
+    x = values_b[rows, columns, :3].astype(float) @ R.T + T_a_b[:3, 3]
     u, v = camera_a.project(x).T
     height, width = use_a.shape
     keep = (u >= 1) & (v >= 1) & (u < width - 2) & (v < height - 2)
     keep[keep] = use_a[np.floor(v[keep]).astype(int), np.floor(u[keep]).astype(int)] != 0
     rows, columns, x, u, v = rows[keep], columns[keep], x[keep], u[keep], v[keep]
-    q, n_a = bilinear(points_a, u, v), bilinear(normals_a, u, v)
-    known = np.isfinite(q[:, 2]) & np.isfinite(n_a[:, 2])
-    rows, columns, x, u, v, q, n_a = (i[known] for i in (rows, columns, x, u, v, q, n_a))
-    n_b = normals_b[rows, columns].astype(float) @ R.T
-    distance = (n_a * (x - q)).sum(1)
-    near = (np.abs(distance) <= max_distance) & ((n_a * n_b).sum(1) >= min_cosine)
-    conflicts = int((~near).sum())
+    distance, n_a = _between(values_a, u, v, x)
+    n_b = values_b[rows, columns, 4:7].astype(float) @ R.T
+    with np.errstate(invalid="ignore"):
+        near = (np.abs(distance) <= max_distance) & ((n_a * n_b).sum(1) >= min_cosine)
     rows, columns, x, u, v, n_a, n_b, distance = (i[near] for i in (rows, columns, x, u, v, n_a, n_b, distance))
+    at_a, at_b = bilinear(values_a, u, v), values_b[rows, columns].astype(float)
     lever, mean = x - about, n_a + n_b
-    J = _jacobian(lever, mean / np.linalg.norm(mean, axis=1, keepdims=True))
-    sigma = np.hypot(bilinear(sigma_a, u, v), sigma_b[rows, columns])[:, None]
-    difference = (cubic(texture_a, u, v) - texture_b[rows, columns]) / sigma[:, 0]
-    J_a = _jacobian(lever, bilinear(gradient_a, u, v) / sigma)
-    J_b = _jacobian(lever, gradient_b[rows, columns].astype(float) @ R.T / sigma)
+    sigma = np.sqrt(at_a[:, 3] + at_b[:, 3])[:, None]
+    of_distance = [_jacobian(lever, n / sigma) for n in (mean / np.linalg.norm(mean, axis=1, keepdims=True), n_a, n_b)]
+    noise = np.sqrt(at_a[:, 7] + at_b[:, 7])[:, None]
+    difference = (cubic(texture_a, u, v) - texture_b[rows, columns]) / noise[:, 0]
+    J_a, J_b = _jacobian(lever, at_a[:, 8:11] / noise), _jacobian(lever, at_b[:, 8:11] @ R.T / noise)
     difference[~(np.isfinite(J_a).all(1) & np.isfinite(J_b).all(1))] = np.nan
-    return rows, columns, distance, J, difference, J_a, J_b, conflicts
+    return rows, columns, distance / sigma[:, 0], of_distance, difference, [(J_a + J_b) / 2, J_a, J_b]
 
 
 def tile_pulls(maps_a, camera_a, maps_b, T_a_b, about, weights, max_distance, min_cosine, tile, step=1e-3):
     """Derivative (rows, columns, 6, 3) of each tile's gradient J' W r by a displacement of its points; NaN without any.
 
-    Central differences [mm] of the definition, b shifted as a whole.
+    `weights` (2, 2) are scale and weight of distances and of differences. Central differences [mm] of the definition,
+    b shifted as a whole.
     """
     ends = []
     for axis in range(3):
@@ -88,13 +104,12 @@ def tile_pulls(maps_a, camera_a, maps_b, T_a_b, about, weights, max_distance, mi
             T = np.array(T_a_b)
             T[axis, 3] += sign * step
             found = residuals(maps_a, camera_a, maps_b, T, about, max_distance, min_cosine)
-            rows, columns, d, J, t, J_a, J_b, _ = found
-            w_d = weights.distance * tukey(d, weights.scale_distance_mm)
-            w_t = weights.texture * tukey(t, weights.scale_texture)
+            rows, columns, d, (J, _, _), t, (J_t, _, _) = found
+            w_d, w_t = (w * tukey(r, scale) for r, (scale, w) in zip((d, t), weights, strict=True))
             with np.errstate(invalid="ignore"):
-                by_texture = np.where(np.isfinite(t)[:, None], (w_t * t)[:, None] * (J_a + J_b) / 2, 0.0)
+                by_texture = np.where(np.isfinite(t)[:, None], (w_t * t)[:, None] * J_t, 0.0)
             gradient = (w_d * d)[:, None] * J + by_texture
-            shape = tuple(-(-n // tile) for n in maps_b[0].shape[:2])
+            shape = tuple(-(-n // tile) for n in maps_b[1].shape)
             sums, counts = np.zeros((*shape, 6)), np.zeros(shape)
             np.add.at(sums, (rows // tile, columns // tile), gradient)
             np.add.at(counts, (rows // tile, columns // tile), 1)

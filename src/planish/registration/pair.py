@@ -24,7 +24,7 @@ from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.refine.overlap import overlap_extent
-from planish.registration.refine.residuals import JointSide, held_out_pixels, joint_side
+from planish.registration.refine.sides import JointSide, held_out_pixels, joint_sides
 from planish.registration.refine.solve import Refined, RefineOptions, refine
 from planish.registration.result import PairResult
 from planish.registration.surface import Surface, SurfaceOptions, fit_surface
@@ -64,9 +64,9 @@ class Prepared:
     images: tuple[TextureImage, ...]
     patches: tuple[PatchImage, ...]
     keypoints: Keypoints
-    #: Per smoothing of the texture; `fit` leaves out the tiles that later judge the fit.
-    sides: Mapping[float, JointSide]
-    fit_sides: Mapping[float, JointSide]
+    #: Per spacing of the pixels; `fit` leaves out the tiles that later judge the fit.
+    sides: Mapping[int, JointSide]
+    fit_sides: Mapping[int, JointSide]
     dense_options: DenseOptions
 
     @cached_property
@@ -122,9 +122,9 @@ def prepare(
     contrast = local_contrast(measurement, options.photometric, surface, fixed, threads)
     images = texture_images(measurement, surface, contrast, pitch_mm, options.charts, threads)
     keypoints = detect_keypoints(images, options.keypoints)
-    kept = ~held_out_pixels(measurement)
-    sides = {s: joint_side(measurement, surface, contrast, s, threads=threads) for s in options.refine.smoothing_px}
-    fit_sides = {s: replace(side, maps=(*side.maps[:5], kept.astype(np.uint8))) for s, side in sides.items()}
+    spacings, shading_mm = options.refine.spacing_px, options.photometric.shading_mm
+    sides = joint_sides(measurement, surface, contrast, spacings, shading_mm, threads)
+    fit_sides = _without(sides, held_out_pixels(measurement))
     patches = patch_images(images)
     return Prepared(measurement, surface, contrast, images, patches, keypoints, sides, fit_sides, options.dense)
 
@@ -207,7 +207,9 @@ def _refined_result(
     threads: int | None,
 ) -> PairResult:
     anchor = first.anchor() if _is_weak(a, b, options.dense) else None
-    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor)
+    # What agrees with a consensus does so within this.
+    within_mm = options.verdict.verify.agree_mm
+    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor, within_mm)
     covariance = noise_covariance(refined) if refined is not None else None
     directions = observability(refined, covariance) if refined is not None and covariance is not None else ()
     drift = first.drift_mm(refined.T_a_b) if refined is not None else 0.0
@@ -239,10 +241,12 @@ def refine_pair(
     threads: int | None = None,
     without: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None),
     anchor: Anchor | None = None,
+    within_mm: float = np.inf,
 ) -> Refined | None:
     """Return the joint refinement of a pair from a coarse transform, or None where the surfaces do not overlap.
 
-    `without` (H, W) of a and of b are pixels that take no part; `anchor` adds what windows of weak textures say.
+    `without` (H, W) of a and of b are pixels that take no part; `anchor` adds what windows of weak textures say. The
+    start is not farther off than `within_mm`.
     """
     options = options or PairOptions()
     extent = overlap_extent(a.measurement, b.measurement, T_a_b, max(options.refine.max_distance_mm))
@@ -251,15 +255,12 @@ def refine_pair(
     centre, radius = extent
     tile = tile_size_px(b.measurement)
     sides_a, sides_b = _without(a.fit_sides, without[0]), _without(b.sides, without[1])
-    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, options.refine, threads, anchor)
+    steps = options.refine.starting_within(within_mm, ground_sample_distance(b.measurement))
+    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, steps, threads, anchor)
 
 
-def _without(sides: Mapping[float, JointSide], mask: NDArray[np.bool_] | None) -> Mapping[float, JointSide]:
-    if mask is None:
-        return sides
-    return {
-        s: replace(side, maps=(*side.maps[:5], np.where(mask, np.uint8(0), side.maps[5]))) for s, side in sides.items()
-    }
+def _without(sides: Mapping[int, JointSide], mask: NDArray[np.bool_] | None) -> Mapping[int, JointSide]:
+    return sides if mask is None else {n: side.without(mask) for n, side in sides.items()}
 
 
 def pair_shifts(
@@ -267,7 +268,7 @@ def pair_shifts(
 ) -> dict[str, Array] | None:
     """Return per rig what its errors do to a refined transform, or None where a rig states none."""
     options = options or PairOptions()
-    finest = options.refine.smoothing_px[-1]
+    finest = options.refine.spacing_px[-1]
     sides = ErrorSide(a.measurement, a.fit_sides[finest]), ErrorSide(b.measurement, b.sides[finest])
     return calibration_shifts(*sides, refined, options.refine, threads)
 

@@ -11,7 +11,8 @@ from planish.geometry import Array, transform_points
 from planish.measurement import Measurement
 from planish.options import thread_count
 from planish.registration.refine.information import held_directions, information
-from planish.registration.refine.residuals import JointSide, Pull, pull
+from planish.registration.refine.residuals import Pull, pull
+from planish.registration.refine.sides import JointSide
 from planish.registration.refine.solve import Refined, RefineOptions
 from planish.registration.rig_errors import displacements, rig_key, states_errors
 
@@ -62,7 +63,7 @@ def calibration_shifts(
     options = options or RefineOptions()
     found = _pull(a, b, refined, options, thread_count(threads))
     u, v = found.pixels.T
-    x = np.asarray(transform_points(refined.T_a_b, b.side.maps[0][v, u].astype(float)))
+    x = np.asarray(transform_points(refined.T_a_b, b.side.values[v, u, :3].astype(float)))
     pixels_a = np.rint(a.measurement.camera.project(x)).astype(np.intp)
     moved_a, moved_b = displacements(a.measurement, pixels_a, x), displacements(b.measurement, found.pixels)
     assert moved_a is not None

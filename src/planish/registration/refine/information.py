@@ -45,14 +45,18 @@ class Information:
     noise: Array
 
 
-def information(e: Equations, lever_mm: float, min_slope: float = 0.0) -> Information:
-    """Return the information of normal equations; robust slopes count at least `min_slope`."""
+def information(e: Equations, lever_mm: float, min_slope: float = 0.0, afar: bool = False) -> Information:
+    """Return the information of normal equations; robust slopes count at least `min_slope`.
+
+    `afar`, where the textures do not lie upon each other yet, their gradients have little in common: steps by that
+    would go much too far, and are made by J'J.
+    """
     scale = np.array([lever_mm] * 3 + [1.0] * 3)
     outer = np.outer(scale, scale)
     slope_distance, slope_texture = max(e.slope_distance, min_slope), max(e.slope_texture, min_slope)
     trust, distance = _trusted(e.H_distance / outer, e.H_distance_unbiased / outer)
     anchor = e.H_anchor / outer
-    texture = slope_texture * e.H_texture_unbiased / outer + anchor
+    texture = slope_texture * (e.H_texture if afar else e.H_texture_unbiased) / outer + anchor
     return Information(
         scale,
         trust,

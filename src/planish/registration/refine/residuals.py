@@ -2,88 +2,21 @@
 
 Both are looked up: a point of b is moved into a, projected into a's organising camera and compared with what stands at
 that pixel. The texture is compared where the cameras saw it, so that nothing is resampled before and an error of a
-point's depth moves the look-up only by the angle between the two viewing rays.
+point's depth moves the look-up only by the angle between the two viewing rays. Residuals are in units of their noise.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from typing import Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from planish import _core
 from planish.geometry import Array
-from planish.measurement import Map, Measurement
-from planish.options import thread_count
-from planish.registration.surface import Surface
-from planish.registration.tiles import held_out, tile_size_px
-
-
-@dataclass(frozen=True)
-class JointSide:
-    """One measurement as the refinement sees it: its camera and `maps`, one tuple per smoothing of the texture.
-
-    Parameters
-    ----------
-    camera : ndarray (29,)
-        Kernel parameters of the organising camera.
-    smoothing_px : float
-        Standard deviation of the Gaussian on the texture [px].
-    maps : tuple
-        points (H, W, 3) [mm], normals (H, W, 3), texture (H, W), gradient (H, W, 3) [1/mm], sigma (H, W), use (H, W).
-    """
-
-    camera: Array
-    smoothing_px: float
-    maps: tuple[Map, Map, Map, Map, Map, NDArray[np.uint8]]
-
-
-def held_out_pixels(measurement: Measurement) -> NDArray[np.bool_]:
-    """Return the pixels (H, W) of the tiles that take no part in any fit against this measurement."""
-    size = tile_size_px(measurement)
-    rows, columns = np.indices(measurement.shape) // size
-    return held_out(rows, columns)
-
-
-def joint_side(
-    measurement: Measurement,
-    surface: Surface,
-    contrast: tuple[Map, Map],
-    smoothing_px: float,
-    use: NDArray[np.bool_] | None = None,
-    threads: int | None = None,
-) -> JointSide:
-    """Return the maps of one measurement, its texture smoothed by `smoothing_px`; `use` (H, W) restricts the pixels."""
-    value, sigma = contrast
-    known = np.isfinite(value)
-    smooth = smooth_texture(value, known, smoothing_px)
-    gradient = _core.tangential_gradient(smooth, surface.tangents_sensor, thread_count(threads))
-    use = np.ones(measurement.shape, bool) if use is None else use
-    # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
-    points = np.where(np.isfinite(surface.points_sensor), measurement.points_sensor, np.float32(np.nan))
-    maps = (
-        points,
-        surface.normals_sensor,
-        smooth,
-        gradient,
-        np.where(known, sigma, np.float32(np.nan)),
-        use.astype(np.uint8),
-    )
-    return JointSide(measurement.camera.kernel_parameters, smoothing_px, maps)
-
-
-def smooth_texture(value: Map, known: NDArray[np.bool_], sigma_px: float) -> Map:
-    """Gaussian smoothing over known pixels (normalised convolution); NaN stays NaN."""
-    blur: Callable[[Map], Map] = lambda image: cv2.GaussianBlur(  # noqa: E731
-        image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT
-    )
-    density = blur(known.astype(np.float32))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        smooth = blur(np.where(known, value, np.float32(0))) / density
-    return np.where(known, smooth, np.float32(np.nan))
+from planish.measurement import Map
+from planish.registration.refine.sides import JointSide
 
 
 @dataclass(frozen=True)
@@ -92,8 +25,9 @@ class Equations:
 
     The `unbiased` are the information without what the noise of normals and gradients adds.
     `slope_distance` and `slope_texture` are the sums of psi'(r) over those of psi(r) / r of the robust influence psi:
-    by so much of H the gradient really changes. `tile_gradients` (rows, columns, 2, 6) are the parts of the gradient of
-    distance and texture from each tile of b. `H_anchor` and `g_anchor` are those of windows (`Anchor`).
+    by so much of H the gradient really changes. Of each tile (`tile` px) of b, `tile_gradients` (rows, columns, 2, 6)
+    are the parts of the gradient of distance and texture, `tile_sizes` (rows, columns, 2, 2) number and sum of the
+    absolute values of the residuals. `H_anchor` and `g_anchor` are those of windows (`Anchor`).
     """
 
     H_distance: Array
@@ -108,39 +42,84 @@ class Equations:
     points: int
     texture_points: int
     correlation: float
-    conflicts: int
+    tile: int
     tile_gradients: Array
+    tile_sizes: Array
     distances: Map
     differences: Map
     H_anchor: Array = field(default_factory=lambda: np.zeros((6, 6)))
     g_anchor: Array = field(default_factory=lambda: np.zeros(6))
 
 
+#: Standard deviation of normal values over their mean absolute value.
+_PER_MEAN_ABSOLUTE = float(np.sqrt(np.pi / 2))
+#: The scale of all tiles counts in each as much as so many of its own residuals.
+_PRIOR = 50.0
+#: Smallest scale, where there is no noise at all.
+_LEAST_SCALE = 1e-3
+
+
 @dataclass(frozen=True)
 class Weights:
-    """Robust scales and weights of both kinds of residual (texture differences are in units of their noise)."""
+    """How residuals count in each tile of b.
 
-    scale_distance_mm: float
-    scale_texture: float
-    distance: float
-    texture: float
+    Parameters
+    ----------
+    values : ndarray (rows, columns, 2, 2) float32
+        Robust scale and weight of distances, of texture differences; the weight is that of a squared residual over its
+        noise.
+    tile : int
+        Edge of a tile [px].
+    """
+
+    values: Map
+    tile: int
 
     @classmethod
-    def from_residuals(cls, equations: Equations, smoothing_px: float) -> Weights:
-        """Robust scales from residual maps (1.4826 MAD), and from them the weight of a raw pixel's information.
+    def alike(cls, b: JointSide, tile: int, distance: float = 1.0, texture: float = 1.0, scale: float = np.inf) -> Self:
+        """Return weights by which all residuals of a kind count alike."""
+        rows, columns = (-(-n // tile) for n in b.texture.shape)
+        of_tile = np.array([[scale, distance], [scale, texture]], np.float32)
+        return cls(np.tile(of_tile, (rows, columns, 1, 1)), tile)
 
-        Neighbouring values of the smoothed texture are correlated; the sum over all pixels carries the information of
-        the raw ones. Noise behind a Gaussian of s px has 1 / (4 pi s^2) of its variance.
+    @classmethod
+    def from_residuals(cls, equations: Equations, noise_passed: float) -> Self:
+        """Return weights from the size of the residuals in each tile and its neighbours.
+
+        Where residuals are larger than their noise (highlights, dust, shading by noisy normals, distortion), they count
+        by what they are; where they are smaller, noise is still noise. `noise_passed` is the variance of texture
+        differences over that of their noise.
         """
-        s_d = max(_mad(equations.distances), 1e-5)
-        s_t = max(_mad(equations.differences), 1e-6)
-        raw_texture = s_t**2 * max(1.0, 4 * np.pi * smoothing_px**2)
-        return cls(s_d, s_t, 1 / s_d**2, 1 / raw_texture)
+        out = np.empty(equations.tile_sizes.shape, np.float32)
+        for kind, expected in enumerate((1.0, np.sqrt(noise_passed))):
+            number, absolute = np.moveaxis(equations.tile_sizes[:, :, kind], 2, 0)
+            mean = absolute.sum() / max(number.sum(), 1.0)
+            scale = _PER_MEAN_ABSOLUTE * (_around(absolute) + _PRIOR * mean) / (_around(number) + _PRIOR)
+            out[:, :, kind, 0] = np.maximum(scale, _LEAST_SCALE)
+            out[:, :, kind, 1] = 1 / np.maximum(1.0, scale / expected) ** 2
+        return cls(out, equations.tile)
+
+    def only(self, kind: int) -> Weights:
+        """Return the weights with those of the other kind 0 (0 = distance, 1 = texture)."""
+        values = self.values.copy()
+        values[:, :, 1 - kind, 1] = 0
+        return Weights(values, self.tile)
+
+    def on(self, shape: tuple[int, ...], tile: int) -> Map:
+        """Return the values on the tiles of another size of an image, as the kernels take them."""
+        rows, columns = (
+            np.minimum((np.arange(-(-n // tile)) * tile + tile // 2) // self.tile, k - 1)
+            for n, k in zip(shape, self.values.shape, strict=False)
+        )
+        chosen = self.values[np.ix_(rows, columns)]
+        return np.ascontiguousarray(chosen.reshape(*chosen.shape[:2], 4))
 
 
-def _mad(values: Map) -> float:
-    known = values[np.isfinite(values)]
-    return 1.4826 * float(np.median(np.abs(known - np.median(known)))) if known.size else 0.0
+def _around(values: Array) -> Array:
+    """Sums over each tile and its eight neighbours."""
+    padded = np.pad(values, 1)
+    rows, columns = values.shape
+    return np.asarray(sum(padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)))
 
 
 def equations(
@@ -158,15 +137,22 @@ def equations(
     threads: int,
 ) -> Equations:
     """Return the normal equations of b against a; `weights` None = every residual counts alike (to find the scales)."""
-    w = weights or Weights(np.inf, np.inf, 1.0, 1.0)
-    d, t, Hd, Ht, correlation, conflicts, tiles, distances, differences = _core.joint_normal_equations(
+    tile = tile_of(stride, tile_px)
+    w = weights or Weights.alike(b, tile)
+    d, t, Hd, Ht, correlation, tiles, sizes, distances, differences = _core.joint_normal_equations(
         a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float),
-        _kernel_options(w, max_distance_mm, max_normal_rad, stride, tile_px), residuals, threads,
+        (max_distance_mm, float(np.cos(max_normal_rad)), stride, tile), w.on(b.texture.shape, tile), residuals, threads,
     )  # fmt: skip
+    shape = tiles.shape[:2]
     return Equations(
-        d[0], d[1][0], t[0], t[1][0], Hd, Ht, d[4], t[4], d[2] + t[2], d[3], t[3], correlation, conflicts,
-        tiles.reshape(*tiles.shape[:2], 2, 6), distances, differences,
+        d[0], d[1][0], t[0], t[1][0], Hd, Ht, d[4], t[4], d[2] + t[2], d[3], t[3], correlation, tile,
+        tiles.reshape(*shape, 2, 6), sizes.reshape(*shape, 2, 2), distances, differences,
     )  # fmt: skip
+
+
+def tile_of(stride: int, tile_px: int) -> int:
+    """Return the edge of a tile: the largest multiple of the stride within `tile_px`, at least one."""
+    return max(stride, tile_px // stride * stride)
 
 
 @dataclass(frozen=True)
@@ -201,26 +187,17 @@ def pull(
     threads: int,
 ) -> Pull:
     """Return how the gradient of `equations` changes where points and texture of one side are displaced."""
+    tile = tile_of(stride, tile_px)
 
     def of(w: Weights) -> tuple[Array, NDArray[np.int64]]:
         by_shift, places = _core.joint_pull(
             a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float),
-            _kernel_options(w, max_distance_mm, max_normal_rad, stride, tile_px), threads,
+            (max_distance_mm, float(np.cos(max_normal_rad)), stride, tile), w.on(b.texture.shape, tile), threads,
         )  # fmt: skip
         return by_shift, places[0]
 
-    distance, places = of(replace(weights, texture=0.0))
-    texture, _ = of(replace(weights, distance=0.0))
+    distance, places = of(weights.only(0))
+    texture, _ = of(weights.only(1))
     met = places >= 0
-    v, u = np.divmod(places[met], b.maps[0].shape[1])
+    v, u = np.divmod(places[met], b.texture.shape[1])
     return Pull(np.stack([u, v], -1), distance[met], texture[met])
-
-
-def _kernel_options(
-    w: Weights, max_distance_mm: float, max_normal_rad: float, stride: int, tile_px: int
-) -> tuple[float, float, float, float, float, float, int, int]:
-    tile = max(stride, tile_px // stride * stride)
-    return (
-        max_distance_mm, float(np.cos(max_normal_rad)), w.scale_distance_mm, w.scale_texture, w.distance, w.texture,
-        stride, tile,
-    )  # fmt: skip

@@ -13,33 +13,42 @@ from planish.geometry import Array, perturb
 from planish.options import Options, thread_count
 from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.information import held_directions, information
-from planish.registration.refine.residuals import Equations, JointSide, Weights, equations
+from planish.registration.refine.residuals import Equations, Weights, equations
+from planish.registration.refine.sides import JointSide
 
 
 class RefineOptions(Options):
     """Options of the joint refinement."""
 
-    #: Standard deviation of the Gaussian on the texture per level, coarse to fine [px].
-    smoothing_px: tuple[PositiveFloat, ...] = (2.0, 0.8)
-    #: Every n-th pixel per level.
-    stride: tuple[PositiveInt, ...] = (2, 1)
+    #: Every n-th pixel per level, coarse to fine; what these cannot hold is averaged away before.
+    spacing_px: tuple[PositiveInt, ...] = (8, 4, 2, 1)
     #: Surfaces farther apart than this do not belong together, per level [mm].
-    max_distance_mm: tuple[PositiveFloat, ...] = (2.0, 1.0)
+    max_distance_mm: tuple[PositiveFloat, ...] = (3.0, 2.0, 1.0, 1.0)
     #: Largest angle between the normals of the two surfaces [rad].
     max_normal_rad: float = Field(default=0.35, gt=0, lt=1.5)
     #: Most steps per level.
     max_steps: int = Field(default=15, ge=1)
-    #: A level ends when a step moves no point of the overlap by more than this [mm].
+    #: The last level ends when a step moves no point of the overlap by more than this, the others earlier [mm].
     step_mm: float = Field(default=5e-4, gt=0)
     #: Half of what a direction may be uncertain by, to be updated at all [mm].
     max_sigma_mm: float = Field(default=2.0, gt=0)
 
     @model_validator(mode="after")
     def _one_value_per_level(self) -> Self:
-        levels = len(self.smoothing_px)
-        if levels == 0 or len(self.stride) != levels or len(self.max_distance_mm) != levels:
-            raise ValueError("smoothing_px, stride and max_distance_mm must have one value per level, at least one")
+        if not self.spacing_px or len(self.spacing_px) != len(self.max_distance_mm):
+            raise ValueError("spacing_px and max_distance_mm must have one value per level, at least one")
         return self
+
+    def starting_within(self, distance_mm: float, gsd_mm: float) -> Self:
+        """Return the options for a start that is off by less: without the levels that only lead here from farther.
+
+        Coarse levels see little but slow changes, of which shading has its share.
+        """
+        reach = [n * gsd_mm >= distance_mm for n in self.spacing_px]
+        first = max([i for i, enough in enumerate(reach) if enough], default=0)
+        return self.model_copy(
+            update={"spacing_px": self.spacing_px[first:], "max_distance_mm": self.max_distance_mm[first:]}
+        )
 
 
 @dataclass(frozen=True)
@@ -56,8 +65,8 @@ class Refined:
 
 
 def refine(
-    sides_a: Mapping[float, JointSide],
-    sides_b: Mapping[float, JointSide],
+    sides_a: Mapping[int, JointSide],
+    sides_b: Mapping[int, JointSide],
     T_a_b: Array,
     about: Array,
     lever_mm: float,
@@ -71,72 +80,91 @@ def refine(
     Parameters
     ----------
     sides_a, sides_b : mapping
-        `JointSide` per smoothing of `options.smoothing_px`.
+        `JointSide` per spacing of `options.spacing_px`.
     T_a_b : ndarray (4, 4)
         Start, within a few millimetres.
     about : ndarray (3,)
         Point in frame a that rotations turn about: the centre of the overlap [mm].
     lever_mm : float
         Radius of the overlap; makes rotations comparable with translations [mm].
+    tile_px : int
+        Edge of the tiles of b that the covariance rests on [px].
     anchor : Anchor, optional
         Windows of textures too weak for single pixels.
     """
     options = options or RefineOptions()
-    count = thread_count(threads)
-    weights: Weights | None = None
-    result: Equations | None = None
-    converged, step = False, np.inf
-    levels = list(zip(options.smoothing_px, options.stride, options.max_distance_mm, strict=True))
-    for smoothing, stride, max_distance in levels:
-        a, b = sides_a[smoothing], sides_b[smoothing]
-
-        def at(
-            T: Array,
-            w: Weights | None,
-            residuals: bool,
-            a: JointSide = a,
-            b: JointSide = b,
-            gate: float = max_distance,
-            stride: int = stride,
-        ) -> Equations:
-            found = equations(
-                a, b, T, about, w, max_distance_mm=gate, max_normal_rad=options.max_normal_rad,
-                stride=stride, tile_px=tile_px, residuals=residuals, threads=count,
-            )  # fmt: skip
-            return found if anchor is None else anchor.hold(found, T, about)
-
-        converged = False
-        scalings = 1 if smoothing == levels[-1][0] else _SCALINGS
-        for iteration in range(options.max_steps):
-            # Scales follow the fit for the first steps, then stay, so that the cost is one function. The last level
-            # starts from a good fit and needs them once.
-            if iteration < scalings:
-                plain = at(T_a_b, None, True)
-                if plain.points < MIN_POINTS:
-                    return None
-                weights = Weights.from_residuals(plain, smoothing)
-            result = at(T_a_b, weights, False)
-            xi = _step(result, lever_mm, options.max_sigma_mm)
-            T_a_b = perturb(T_a_b, xi, about)
-            step = float(np.linalg.norm(xi[:3]) * lever_mm + np.linalg.norm(xi[3:]))
-            if iteration + 1 >= scalings and step < options.step_mm:
-                converged = True
-                break
-    assert weights is not None
-    final = at(T_a_b, weights, False)
-    return Refined(T_a_b, np.asarray(about), lever_mm, final, weights, converged, step)
+    problem = _Problem(np.asarray(about), lever_mm, tile_px, options, thread_count(threads), anchor)
+    found: Refined | None = None
+    for spacing, max_distance in zip(options.spacing_px, options.max_distance_mm, strict=True):
+        level = problem.solve(sides_a[spacing], sides_b[spacing], T_a_b, max_distance)
+        if level is not None:
+            found, T_a_b = level, level.T_a_b
+        elif spacing == options.spacing_px[-1]:
+            return None
+    return found
 
 
 #: Far from the solution the slope of the influence can vanish; a step then goes no farther than twice.
 _MIN_SLOPE = 0.5
-#: Times that the robust scales are estimated anew on a coarse level.
-_SCALINGS = 3
+#: Times that the weights are estimated anew on a coarse level. The last one starts from a good fit and needs them once.
+_WEIGHINGS = 2
 #: Fewer common pixels than this cannot be refined (six unknowns, tiles for the covariance).
 MIN_POINTS = 300
+#: Every n-th pixel along both axes tells how large the residuals are.
+_WEIGHING_STRIDE = 3
 
 
-def _step(e: Equations, lever_mm: float, max_sigma_mm: float) -> Array:
+@dataclass(frozen=True)
+class _Problem:
+    """What all levels share."""
+
+    about: Array
+    lever_mm: float
+    tile_px: int
+    options: RefineOptions
+    threads: int
+    anchor: Anchor | None
+
+    def at(
+        self, a: JointSide, b: JointSide, T: Array, weights: Weights | None, max_distance_mm: float, stride: int = 1
+    ) -> Equations:
+        found = equations(
+            a, b, T, self.about, weights, max_distance_mm=max_distance_mm, max_normal_rad=self.options.max_normal_rad,
+            stride=stride, tile_px=max(2, self.tile_px // b.spacing_px), residuals=False, threads=self.threads,
+        )  # fmt: skip
+        return found if self.anchor is None else self.anchor.hold(found, T, self.about)
+
+    def solve(self, a: JointSide, b: JointSide, T: Array, max_distance_mm: float) -> Refined | None:
+        """Return the solution of one level, None where too little is common."""
+        spacing, last = b.spacing_px, b.spacing_px == self.options.spacing_px[-1]
+        stride = _WEIGHING_STRIDE if spacing == 1 else 1
+        weighings, enough = 1 if last else _WEIGHINGS, MIN_POINTS // spacing**2
+        weights, converged, step = None, False, np.inf
+        for iteration in range(self.options.max_steps):
+            # Weights follow the fit for the first steps, then stay, so that the cost is one function.
+            if iteration < weighings:
+                plain = self.at(a, b, T, None, max_distance_mm, stride)
+                if plain.points * stride**2 < enough:
+                    return None
+                weights = Weights.from_residuals(plain, (a.noise_passed + b.noise_passed) / 2)
+            result = self.at(a, b, T, weights, max_distance_mm)
+            xi = _step(result, self.lever_mm, self.options.max_sigma_mm, afar=not last)
+            T = perturb(T, xi, self.about)
+            step = float(np.linalg.norm(xi[:3]) * self.lever_mm + np.linalg.norm(xi[3:]))
+            if iteration + 1 >= weighings and step < self.options.step_mm * (1 if last else spacing * _LOOSE):
+                converged = True
+                break
+        assert weights is not None
+        final = self.at(a, b, T, weights, max_distance_mm) if last else result
+        return Refined(T, self.about, self.lever_mm, final, weights, converged, step)
+
+
+#: A coarse level need not be solved closer than this, in parts of what the last one must be.
+_LOOSE = 10.0
+
+
+def _step(e: Equations, lever_mm: float, max_sigma_mm: float, afar: bool) -> Array:
     """Newton step with the expected curvature, without the directions that neither geometry nor texture holds."""
-    info = information(e, lever_mm, _MIN_SLOPE)
+    info = information(e, lever_mm, _MIN_SLOPE, afar)
     V, values = held_directions(info, max_sigma_mm)
     return -V @ ((V.T @ (info.scale * info.gradient)) / values)

@@ -35,12 +35,12 @@ def geometry_stands_still(refined: Refined, still_mm: float) -> bool:
     overlap), they agree only where the part is. That averages of many pixels see less does not count: errors of the
     sensor do not average.
     """
-    e, weights = refined.equations, refined.weights
+    e = refined.equations
     scale = np.array([refined.lever_mm] * 3 + [1.0] * 3)
     # Sum of the squared changes of distance by 1 mm at the rim, in units of the residuals' variance.
-    H = e.H_distance_unbiased / np.outer(scale, scale) / max(weights.distance, 1e-30)
+    H = e.H_distance_unbiased / np.outer(scale, scale)
     least = max(float(np.linalg.eigvalsh((H + H.T) / 2)[0]), 0.0) / max(e.points, 1)
-    return bool(still_mm * np.sqrt(least) > weights.scale_distance_mm)
+    return bool(still_mm * np.sqrt(least) > 1)
 
 
 def left_out(

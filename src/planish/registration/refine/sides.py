@@ -1,0 +1,155 @@
+"""One measurement as the refinement sees it: points, normals and filtered texture at several resolutions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from planish import _core
+from planish.geometry import Array
+from planish.measurement import Map, Measurement
+from planish.options import thread_count
+from planish.registration.refine.filtering import filter_texture
+from planish.registration.surface import Surface
+from planish.registration.tiles import held_out, tile_size_px
+
+#: Standard deviation of the Gaussian before every n-th pixel is taken, in parts of n: what aliases is below 1 %.
+_BEFORE_THINNING = 0.6
+#: A Gaussian of s px leaves 1 / (4 pi s^2) of the variance of white noise; of n^2 pixels one is taken.
+_THINNED_NOISE = 1 / (4 * np.pi * _BEFORE_THINNING**2)
+#: Where the low-pass of the shading had less than this share of its window, the rim of the part or a shadow is near,
+#: and slow shading was left in the texture.
+_INSIDE = 0.9
+
+
+@dataclass(frozen=True)
+class JointSide:
+    """One measurement at one resolution: every n-th pixel of its organising camera.
+
+    Parameters
+    ----------
+    camera : ndarray (29,)
+        Kernel parameters of the organising camera, for these pixels.
+    spacing_px : int
+        n.
+    values : ndarray (H, W, 12) float32
+        Point [mm], variance along its normal [mm^2], normal, variance of the texture, its gradient [1/mm], 0.
+    texture : ndarray (H, W) float32
+        Filtered texture; NaN where it takes no part.
+    use : ndarray (H, W) uint8
+        0 = takes no part.
+    noise_passed : float
+        Variance that the texture's filter leaves of white noise of unit variance.
+    """
+
+    camera: Array
+    spacing_px: int
+    values: Map
+    texture: Map
+    use: NDArray[np.uint8]
+    noise_passed: float
+
+    def without(self, mask: NDArray[np.bool_]) -> JointSide:
+        """Return the same, without some pixels (of the whole resolution)."""
+        kept = ~mask[:: self.spacing_px, :: self.spacing_px]
+        return replace(self, use=np.where(kept, self.use, np.uint8(0)))
+
+    @property
+    def maps(self) -> tuple[Map, Map, NDArray[np.uint8]]:
+        """The arrays in the order of the kernels."""
+        return self.values, self.texture, self.use
+
+
+def held_out_pixels(measurement: Measurement) -> NDArray[np.bool_]:
+    """Return the pixels (H, W) of the tiles that take no part in any fit against this measurement."""
+    size = tile_size_px(measurement)
+    rows, columns = np.indices(measurement.shape) // size
+    return held_out(rows, columns)
+
+
+def joint_sides(
+    measurement: Measurement,
+    surface: Surface,
+    contrast: tuple[Map, Map],
+    spacings_px: Sequence[int],
+    shading_mm: float,
+    threads: int | None = None,
+) -> dict[int, JointSide]:
+    """Return the measurement at several resolutions.
+
+    Parameters
+    ----------
+    measurement : Measurement
+    surface : Surface
+    contrast : tuple of two ndarray (H, W)
+        Local contrast and its standard deviation.
+    spacings_px : sequence of int
+        Every n-th pixel, for each of them.
+    shading_mm : float
+        Scale of the low-pass that the contrast is free of [mm].
+    threads : int, optional
+    """
+    gsd = measurement.sample_distance_mm
+    shading_px = shading_mm / gsd if np.isfinite(gsd) else 1.0
+    value, sigma = contrast
+    filtered = filter_texture(value, sigma, shading_px)
+    known = np.isfinite(value)
+    inside = known & _inside(measurement.valid, known, shading_px)
+    texture = np.where(known, filtered.value, np.float32(np.nan))
+    # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
+    points = np.where(np.isfinite(surface.points_sensor), measurement.points_sensor, np.float32(np.nan))
+    depth = _variance_along_normal(measurement, surface)
+    sides = {}
+    for n in spacings_px:
+        # Coarse levels must lead here from afar: there the texture is as it is, its slow changes the strongest.
+        level = texture if n == 1 else smooth_texture(value, known, _BEFORE_THINNING * n)
+        level = np.where(inside, level, np.float32(np.nan))
+        gradient = _core.tangential_gradient(level, surface.tangents_sensor, thread_count(threads))
+        values = np.zeros((*_thin(level, n).shape, 12), np.float32)
+        values[..., 0:3] = _thin(points, n)
+        values[..., 3] = _thin(depth, n)
+        values[..., 4:7] = _thin(surface.normals_sensor, n)
+        # One value in n^2 stands for n^2 independent ones.
+        values[..., 7] = _thin(np.where(inside, sigma**2, np.float32(np.nan)), n) / np.float32(n * n)
+        values[..., 8:11] = _thin(gradient, n)
+        camera = measurement.camera.kernel_parameters.copy()
+        camera[:5] /= n
+        use = np.ones(values.shape[:2], np.uint8)
+        passed = filtered.noise_passed if n == 1 else _THINNED_NOISE
+        sides[n] = JointSide(camera, n, values, np.ascontiguousarray(_thin(level, n)), use, passed)
+    return sides
+
+
+def smooth_texture(value: Map, known: NDArray[np.bool_], sigma_px: float) -> Map:
+    """Gaussian smoothing over known pixels (normalised convolution); NaN stays NaN."""
+    blur: Callable[[Map], Map] = lambda image: cv2.GaussianBlur(  # noqa: E731
+        image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT
+    )
+    density = blur(known.astype(np.float32))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        smooth = blur(np.where(known, value, np.float32(0))) / density
+    return np.where(known, smooth, np.float32(np.nan))
+
+
+def _thin(image: Map, n: int) -> Map:
+    return image[::n, ::n]
+
+
+def _variance_along_normal(measurement: Measurement, surface: Surface) -> Map:
+    ray = measurement.points_sensor - measurement.camera.center_sensor.astype(np.float32)
+    length = np.linalg.norm(ray, axis=2)
+    with np.errstate(invalid="ignore"):
+        cosine = np.einsum("hwi,hwi->hw", ray, surface.normals_sensor) / length
+    return np.asarray((measurement.sigma_mm * cosine) ** 2, np.float32)
+
+
+def _inside(valid: NDArray[np.bool_], known: NDArray[np.bool_], shading_px: float) -> NDArray[np.bool_]:
+    """Where the low-pass saw nearly as much of the surface as it does anywhere (a narrow strip is all rim)."""
+    density = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), shading_px, borderType=cv2.BORDER_CONSTANT)
+    if not known.any():
+        return known
+    return np.asarray(density > _INSIDE * np.quantile(density[known], 0.9))
