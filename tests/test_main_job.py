@@ -61,7 +61,7 @@ def test_errors_against_truth_stay_far_below_a_pixel(job):
 def test_registration_json_holds_exactly_the_keys_of_its_contract(job):
     folder, _ = job
     content = json.loads((folder / "out" / "registration.json").read_text())
-    assert set(content) == {"schema", "units", "versions", "options", "groups", "measurements", "pairs"}
+    assert set(content) == {"schema", "units", "versions", "options", "groups", "measurements", "pairs", "network"}
     assert content["schema"] == "planish.registration/1"
     assert set(content["groups"][0]) == {"id", "reference"}
     assert set(content["measurements"][0]) == {

@@ -20,9 +20,11 @@ from planish.execution.cluster import DaskCluster
 from planish.execution.executor import Executor, Threads
 from planish.execution.pool import WorkerPool
 from planish.files.cloud import write_registered
+from planish.files.given import GivenFiles
 from planish.pipeline import FileRun, RegisterOptions, add_files, register_files
 from planish.pipeline.reporting import PreparedFiles, report_files
 from planish.registration.result import Registration
+from planish.report.network import network_lines
 
 RUN_SCHEMA = "planish.run/1"
 #: Exit code where --require-all finds a measurement that was not tied in.
@@ -55,6 +57,11 @@ def register(
     cluster: Annotated[
         str | None, typer.Option(help="Dask scheduler, tcp://host:port, whose workers see the same folders.")
     ] = None,
+    known_points: Annotated[
+        Path | None, typer.Option(help="CSV file of targets: global coordinates, and those that measurements see.")
+    ] = None,
+    prior: Annotated[Path | None, typer.Option(help="JSON file of a robot's approximate transforms.")] = None,
+    fixed: Annotated[Path | None, typer.Option(help="Mesh or cloud of the part whose frame becomes the world.")] = None,
 ) -> None:
     """Register MEASUREMENTs by their texture: no start value, no order, no neighbours needed.
 
@@ -65,9 +72,10 @@ def register(
     options = RegisterOptions()
     if options_file is not None:
         options = RegisterOptions.parse(storage.read_json(options_file), str(options_file))
+    given = GivenFiles(known_points, prior, fixed)
     with make_executor(threads, workers, cluster) as executor:
         paths = find_measurements(measurements or add or [])
-        run = run_files(paths, folder, executor, options=options, add=bool(add), reference=reference)
+        run = run_files(paths, folder, executor, options=options, add=bool(add), reference=reference, given=given)
         write_outputs(run, folder, executor, report, cloud, cloud_step)
     print_overlap_table(run.registration)
     loose = print_groups(run.registration)
@@ -112,6 +120,7 @@ def run_files(
     options: RegisterOptions | None = None,
     add: bool = False,
     reference: str | None = None,
+    given: GivenFiles | None = None,
 ) -> FileRun:
     """Register files, or add them, and write registration.json and run.json, so that nothing later can lose them."""
     started = time.time()
@@ -126,9 +135,11 @@ def run_files(
             bar.update(tasks[stage], description=words, completed=done, total=total)
 
         if add:
-            run = add_files(paths, out, reference=reference, executor=executor, progress=say)
+            run = add_files(paths, out, reference=reference, given=given, executor=executor, progress=say)
         else:
-            run = register_files(paths, out, options, reference=reference, executor=executor, progress=say)
+            run = register_files(
+                paths, out, options, reference=reference, given=given, executor=executor, progress=say
+            )  # fmt: skip
     reused = [f"{count} of {total} {_WHAT[stage]}" for stage, (count, total) in run.reused.items() if count]
     if reused:
         console.print(f"not computed again: {', '.join(reused)}", highlight=False)
@@ -192,6 +203,8 @@ def print_groups(registration: Registration) -> bool:
         names = [m.name for m in registration.measurements if m.group == group.id]
         what = "alone" if len(names) == 1 else f"{len(names)} measurements, reference {group.reference}"
         typer.echo(f"group {group.id}: {what}: {', '.join(names)}")
+    for line in network_lines(registration.network):
+        typer.echo(line)
     return len(registration.groups) > 1
 
 

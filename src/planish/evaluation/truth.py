@@ -105,7 +105,8 @@ def compare_with_truth(
         for pair in registration.pairs
         if pair.status == "accepted" and pair.T_a_b is not None
     )
-    references = {group.id: group.reference for group in registration.groups}
+    by_name = {m.name: m for m in registration.measurements}
+    references = {group.id: by_name[group.reference] for group in registration.groups}
     placed = tuple(
         _measurement_error(m, references[m.group], truth, measurements[m.name], findings)
         for m in registration.measurements
@@ -178,14 +179,17 @@ def _pair_error(
 
 
 def _measurement_error(
-    placed: PlacedMeasurement, reference: str, truth: Truth, item: Prepared, findings: list[str]
+    placed: PlacedMeasurement, reference: PlacedMeasurement, truth: Truth, item: Prepared, findings: list[str]
 ) -> MeasurementError:
-    if not truth.same_part(reference, placed.name):
-        findings.append(f"WRONG: {placed.name} is tied to {reference}, but they show different parts")
+    if not truth.same_part(reference.name, placed.name):
+        findings.append(f"WRONG: {placed.name} is tied to {reference.name}, but they show different parts")
         return MeasurementError(placed.name)
-    T_true, T_hat = truth.transform(reference, placed.name), placed.T_world_measurement
+    T_true = truth.transform(reference.name, placed.name)
+    # The world may be a frame given from outside, of which the truth knows nothing.
+    T_hat = invert(reference.T_world_measurement) @ placed.T_world_measurement
     tangential, normal = error_rms(T_hat, T_true, item, item.measurement.valid) or (None, None)
-    noise = None if placed.name == reference else placed.covariance_noise
+    # Covariances are relative to the reference only where it is the datum.
+    noise = None if placed.name == reference.name or reference.covariance_noise.any() else placed.covariance_noise
     value = nees(T_hat, T_true, placed.covariance_point_mm, noise, placed.covariance_calibration)
     return MeasurementError(placed.name, tangential, normal, value)
 

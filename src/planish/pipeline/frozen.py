@@ -11,6 +11,7 @@ from pydantic import Field
 
 from planish import storage
 from planish.errors import InputError
+from planish.files.given import GivenFiles
 from planish.options import Strict
 from planish.pipeline.options import RegisterOptions
 from planish.pipeline.stages import Source
@@ -65,12 +66,14 @@ class _FrozenFile(Strict):
     gsd_mm: float = Field(gt=0)
     options: dict[str, Any]
     reference: str | None
+    given: dict[Literal["known_points", "prior", "fixed"], str]
     batches: tuple[Batch, ...] = Field(min_length=1)
 
 
 @dataclass(frozen=True)
 class Frozen:
-    """The run's resolution [mm per pixel], its options as the user gave them, and its batches, the first run first.
+    """The run's resolution [mm per pixel], its options and further files as the user gave them, and its batches,
+    the first run first.
 
     The pattern of a sensor is that of all batches up to the measurement's own: what was computed stays valid.
     """
@@ -78,6 +81,7 @@ class Frozen:
     gsd_mm: float
     options: RegisterOptions
     reference: str | None
+    given: GivenFiles
     batches: tuple[Batch, ...]
 
     def save(self, folder: Path) -> None:
@@ -89,6 +93,7 @@ class Frozen:
                 "gsd_mm": self.gsd_mm,
                 "options": self.options.model_dump(mode="json", exclude_unset=True),
                 "reference": self.reference,
+                "given": {name: str(path.resolve()) for name, path in self.given.named().items()},
                 "batches": [batch.model_dump(mode="json") for batch in self.batches],
             },
         )
@@ -107,4 +112,5 @@ class Frozen:
             raise InputError(folder.parent, "holds no finished registration of files", "a folder of `planish register`")
         content = _FrozenFile.parse(storage.read_json(path), str(path))
         options = RegisterOptions.parse(content.options, f"{path}: options")
-        return cls(content.gsd_mm, options, content.reference, content.batches)
+        given = GivenFiles(**{name: Path(file) for name, file in content.given.items()})
+        return cls(content.gsd_mm, options, content.reference, given, content.batches)

@@ -15,10 +15,11 @@ from planish.execution.executor import Threads
 from planish.measurement import Measurement
 from planish.options import thread_count
 from planish.pipeline.options import RegisterOptions
-from planish.pipeline.stages import centroid
+from planish.pipeline.stages import centroid, some_points
 from planish.pipeline.versions import versions
 from planish.registration.candidates import candidate_pairs
 from planish.registration.network.build import Node, build_network
+from planish.registration.network.given import Given
 from planish.registration.pair import (
     PairOptions,
     Prepared,
@@ -28,6 +29,7 @@ from planish.registration.pair import (
     prepare,
     register_pair,
 )
+from planish.registration.pair_costs import pair_costs
 from planish.registration.result import PairResult, Registration
 from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.fixed_pattern import estimate_fixed_patterns
@@ -53,6 +55,7 @@ def register(
     options: RegisterOptions | None = None,
     *,
     reference: str | None = None,
+    given: Given | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Registration:
@@ -65,6 +68,8 @@ def register(
     options : RegisterOptions, optional
     reference : str, optional
         Measurement whose frame becomes the world of its group; default the most central one.
+    given : Given, optional
+        Known points, a robot's transforms, a surface of the part: tested, then used.
     threads : int, optional
         Default: all processors. The result does not depend on it.
     progress : callable, optional
@@ -80,7 +85,10 @@ def register(
     InputError
         Where there is no measurement, a name stands twice, or `reference` is none of them.
     """
-    return register_run(measurements, options, reference=reference, threads=threads, progress=progress).registration
+    run = register_run(
+        measurements, options, reference=reference, given=given, threads=threads, progress=progress
+    )  # fmt: skip
+    return run.registration
 
 
 def register_run(
@@ -89,6 +97,7 @@ def register_run(
     *,
     reference: str | None = None,
     files: Mapping[str, tuple[str, str]] | None = None,
+    given: Given | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> RegisteredRun:
@@ -104,8 +113,9 @@ def register_run(
     pairs = [_with_overlap(pair, overlaps.get((pair.a, pair.b))) for pair in pairs]
     nodes = [_node(m, *(files or {}).get(m.name, ("", ""))) for m in ordered]
     registration = build_network(
-        nodes, pairs, options.network, reference=reference, record=options.model_dump(mode="json"), versions=versions()
-    )
+        nodes, pairs, options.network, reference=reference, record=options.model_dump(mode="json"), versions=versions(),
+        given=given, normal_equations=pair_costs(prepared, options, count),
+    )  # fmt: skip
     return RegisteredRun(registration, prepared, overlaps)
 
 
@@ -195,4 +205,4 @@ def _with_overlap(pair: PairResult, overlap: OverlapEvaluation | None) -> PairRe
 
 
 def _node(measurement: Measurement, file: str, sha256: str) -> Node:
-    return Node(measurement.name, file, sha256, centroid(measurement))
+    return Node(measurement.name, file, sha256, centroid(measurement), some_points(measurement))

@@ -17,6 +17,7 @@ import numpy as np
 from planish.errors import InputError
 from planish.execution.executor import Executor, Threads
 from planish.execution.store import StageStore
+from planish.files.given import GivenFiles, read_given
 from planish.pipeline.frozen import Batch, Frozen, FrozenMeasurement
 from planish.pipeline.options import RegisterOptions
 from planish.pipeline.schedule import MAX_BLOCK, blocks
@@ -27,6 +28,7 @@ from planish.pipeline.stages import (
     View,
     find_keypoints,
     look_at,
+    points_of,
     register_pairs,
     sum_pattern,
 )
@@ -34,7 +36,8 @@ from planish.pipeline.versions import versions
 from planish.registration.candidates import candidate_pairs
 from planish.registration.keypoints.keypoints import Keypoints
 from planish.registration.network.build import Node, build_network
-from planish.registration.pair import length_factor, median_gsd, texture_pitch
+from planish.registration.pair import Prepared, length_factor, median_gsd, texture_pitch
+from planish.registration.pair_costs import pair_costs
 from planish.registration.result import PairResult, Registration
 from planish.registration.texture.fixed_pattern import CAPTURES_PER_SUM
 
@@ -50,6 +53,7 @@ def register_files(
     options: RegisterOptions | None = None,
     *,
     reference: str | None = None,
+    given: GivenFiles | None = None,
     executor: Executor | None = None,
     progress: FileProgress | None = None,
 ) -> FileRun:
@@ -64,6 +68,8 @@ def register_files(
     options : RegisterOptions, optional
     reference : str, optional
         Measurement whose frame becomes the world of its group; default the most central one.
+    given : GivenFiles, optional
+        Files of known points, a robot's transforms, a surface of the part: tested, then used.
     executor : Executor, optional
         Default: threads of this process.
     progress : callable, optional
@@ -76,13 +82,15 @@ def register_files(
     """
     if executor is None:
         with Threads() as threads:
-            return register_files(paths, out, options, reference=reference, executor=threads, progress=progress)
+            return register_files(
+                paths, out, options, reference=reference, given=given, executor=threads, progress=progress
+            )  # fmt: skip
     say = progress or (lambda *_: None)
     sources = _look(paths, executor, say)
     if reference is not None and reference not in sources:
         raise InputError("reference", f"found '{reference}'", f"one of {sorted(sources)}")
     gsd = median_gsd(source.gsd_mm for source in sources.values())
-    start = Frozen(gsd, options or RegisterOptions(), reference, ())
+    start = Frozen(gsd, options or RegisterOptions(), reference, given or GivenFiles(), ())
     return _Run(Path(out), start, executor, say).go(sources, [list(sources)])
 
 
@@ -91,13 +99,14 @@ def add_files(
     to: Path,
     *,
     reference: str | None = None,
+    given: GivenFiles | None = None,
     executor: Executor | None = None,
     progress: FileProgress | None = None,
 ) -> FileRun:
     """Add measurement files to the registration in the folder `to`: only their own stages and pairs are computed.
 
     Resolution and options are those of the first run; the pattern of a sensor is summed up further, for what is new.
-    The network is adjusted anew.
+    The network is adjusted anew. What was given beside the measurements holds on, unless `given` replaces it.
 
     Raises
     ------
@@ -107,7 +116,7 @@ def add_files(
     """
     if executor is None:
         with Threads() as threads:
-            return add_files(paths, to, reference=reference, executor=threads, progress=progress)
+            return add_files(paths, to, reference=reference, given=given, executor=threads, progress=progress)
     say = progress or (lambda *_: None)
     frozen = Frozen.load(Path(to) / STAGES)
     old = {m.name: m for batch in frozen.batches for m in batch.measurements}
@@ -128,7 +137,7 @@ def add_files(
     if reference is not None and reference not in names:
         raise InputError("reference", f"found '{reference}'", f"one of {sorted(names)}")
     batches = [[m.name for m in batch.measurements] for batch in frozen.batches]
-    start = replace(frozen, reference=reference or frozen.reference)
+    start = replace(frozen, reference=reference or frozen.reference, given=frozen.given.replaced_by(given))
     return _Run(Path(to), start, executor, say).go(sources, [*batches, list(new)])
 
 
@@ -179,6 +188,22 @@ class KeypointFiles(Mapping[str, Keypoints]):
         return len(self._views)
 
 
+class PreparedViews(Mapping[str, Prepared]):
+    """What pairs need by the name of the measurement, each made when it is asked for."""
+
+    def __init__(self, views: Mapping[str, View], threads: int) -> None:
+        self._views, self._threads = views, threads
+
+    def __getitem__(self, name: str) -> Prepared:
+        return self._views[name].prepared(self._threads)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._views)
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+
 @dataclass
 class _Run:
     out: Path
@@ -189,6 +214,8 @@ class _Run:
 
     def go(self, sources: Mapping[str, Source], batches: Sequence[Sequence[str]]) -> FileRun:
         """Run all stages, one line per stage; `batches` are the names that came together, those not yet tried last."""
+        # Before anything is computed: what is wrong in a file is said at once.
+        given = read_given(self.frozen.given, sorted(sources))
         store = StageStore(self.out / STAGES)
         store.remove_unfinished()
         # Lengths that the user did not set follow the resolution of the data.
@@ -200,12 +227,15 @@ class _Run:
         tried = self._tried(views, batches)
         pairs = self._pairs(views, tried, options)
         results = self._register(pairs)
-        nodes = [Node(s.name, s.path.name, s.sha256, s.centroid_sensor) for s in (sources[name] for name in views)]
+        nodes = self._nodes([sources[name] for name in views], given.surface is not None)
+        costs = pair_costs(PreparedViews(views, self.executor.slots), options, self.executor.slots)
         registration = build_network(
             nodes, results, options.network, reference=self.frozen.reference, record=options.model_dump(mode="json"),
-            versions=versions(),
+            versions=versions(), given=given, normal_equations=costs,
         )  # fmt: skip
         registration.save(self.out / "registration.json")
+        if registration.joint is not None:
+            registration.joint.save(self.out / "network.h5")
         entries = [[FrozenMeasurement.of(sources[name]) for name in batch] for batch in batches]
         record = tuple(Batch(measurements=tuple(e), pairs=tuple(p)) for e, p in zip(entries, tried, strict=True))
         replace(self.frozen, batches=record).save(store.folder)
@@ -245,6 +275,11 @@ class _Run:
                 if captures[sensor] > 1:
                     found |= {item.name: whole for item in items}
         return found
+
+    def _nodes(self, sources: Sequence[Source], with_points: bool) -> list[Node]:
+        """Return what the network knows of measurements, with some of their points where a surface is given."""
+        points = dict(self.executor.map(points_of, sources)) if with_points else {}
+        return [Node(s.name, s.path.name, s.sha256, s.centroid_sensor, points.get(i)) for i, s in enumerate(sources)]
 
     def _tried(self, views: Mapping[str, View], batches: Sequence[Sequence[str]]) -> list[list[tuple[str, str]]]:
         """Return the pairs to try, per batch; those of batches that are registered are known."""

@@ -91,6 +91,22 @@ def centroid(measurement: Measurement) -> Array:
     return np.asarray(points.mean(0)) if len(points) else np.zeros(3)
 
 
+#: Points of a measurement that a fixed surface is held against.
+NODE_POINTS = 4000
+
+
+def some_points(measurement: Measurement) -> Array:
+    """Return some of a measurement's points (N, 3), spread evenly over its pixels [mm]."""
+    points = measurement.points_sensor[measurement.valid].astype(float)
+    step = max(1, len(points) // NODE_POINTS)
+    return points[step // 2 :: step]
+
+
+def points_of(source: Source, threads: int) -> Array:
+    """Return some of the points (N, 3) of a measurement file [mm]."""
+    return some_points(load(source))
+
+
 @dataclass(frozen=True)
 class PatternStage:
     """Sums over captures of one sensor: of `sources`, or of the sums of `parts`, in their order."""

@@ -181,7 +181,7 @@ def register_pair(
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse = find_consensus(matches, options.consensus, threads, search=_patch_search(a, options.match))
     result = _judged(a, b, matches, coarse, options, pairs_in_run, threads)
-    if result.status != "refused" or not (options.dense.enabled and _is_weak(a, b, options.dense)):
+    if result.status != "refused" or not (options.dense.enabled and is_weak(a, b, options.dense)):
         return result
     windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
     search = Search(np.inf, windows.chance, windows.tried)
@@ -236,7 +236,7 @@ def _patch_side(side: Prepared) -> PatchSide:
     return PatchSide(side.keypoints, side.images, side.patches)
 
 
-def _is_weak(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
+def is_weak(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
     """Whether single pixels hold too little texture: keypoints may fail, and slopes are mostly noise."""
     return min(a.signal_to_noise, b.signal_to_noise) < options.max_signal_to_noise
 
@@ -250,7 +250,7 @@ def _refined_result(
     options: PairOptions,
     threads: int | None,
 ) -> PairResult:
-    anchor = first.anchor() if _is_weak(a, b, options.dense) else None
+    anchor = first.anchor() if is_weak(a, b, options.dense) else None
     # What agrees with a consensus does so within this.
     within_mm = options.verdict.verify.agree_mm
     refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor, within_mm)

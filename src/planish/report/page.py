@@ -21,6 +21,7 @@ from planish.report import text
 from planish.report.figures import matches_png
 from planish.report.histogram import histogram_png
 from planish.report.html import asset, details, figure, figure_name, html_page
+from planish.report.network import network_section
 from planish.report.overview import overview_png
 from planish.report.pairs import pairs_section, pictures_inside
 from planish.report.scene import Scene, draw, plan_scene, sample
@@ -138,6 +139,7 @@ def _page(scene: Scene, pictures: Mapping[str, bytes], truth: Evaluation | None)
         "<h2>Pairs</h2>",
         pairs_section(registration, pictures),
         refused_section(registration),
+        network_section(registration.network),
         "<h2>Options and versions</h2>",
         details("options of this run", registration.options),
         details("versions", registration.versions),

@@ -19,7 +19,8 @@ def measurements_section(scene: Scene) -> str:
     references = {g.id: g.reference for g in registration.groups}
     rows = []
     for m, item in zip(registration.measurements, scene.items, strict=True):
-        reference = references[m.group] == m.name
+        # Where a frame given from outside is the world, the reference is as uncertain as the others.
+        reference = references[m.group] == m.name and not m.covariance_noise.any()
         rows.append(
             (
                 name_tag(registration, m.name),
