@@ -20,10 +20,10 @@ class CandidateOptions(Options):
 
     #: Runs of up to so many measurements try all pairs.
     exhaustive_up_to: int = Field(default=40, ge=1)
-    #: Descriptors that are compared per measurement, the surest of each chart and scale.
-    descriptors: int = Field(default=1000, ge=10)
+    #: Most descriptors that are compared per measurement, the surest of each chart and scale.
+    descriptors: int = Field(default=5000, ge=10)
     #: Random trees that neighbours are sought in.
-    trees: int = Field(default=8, ge=1)
+    trees: int = Field(default=4, ge=1)
     #: Partners that each measurement is tried with, those with the most significant votes first, whatever these say.
     partners: int = Field(default=12, ge=1)
     #: Most partners whose votes are significant that each measurement is tried with.
