@@ -18,7 +18,7 @@ from planish.registration.keypoints.keypoints import Keypoints
 class CandidateOptions(Options):
     """Options of the choice of pairs."""
 
-    #: Runs of up to so many measurements try all pairs.
+    #: Runs of up to so many measurements try all pairs: some twice as many as votes would choose, and none is lost.
     exhaustive_up_to: int = Field(default=40, ge=1)
     #: Most descriptors that are compared per measurement, the surest of each chart and scale.
     descriptors: int = Field(default=5000, ge=10)
