@@ -22,6 +22,7 @@ def noise_covariance(refined: Refined) -> Array:
     window of the surface fit and the smoothing of the texture, over its border. The covariance H^-1 M H^-1, M the
     scatter of the tiles' gradients (White 1980; Liang and Zeger 1986), needs no model of that correlation. H is the
     derivative of the robust gradient (Huber 1981, section 6.4), free of the noise of normals and texture gradients.
+    What the blur of the images may displace goes over all tiles and is added as one mode.
     """
     info = information(refined.equations, refined.lever_mm)
     values, vectors = np.linalg.eigh((info.total + info.total.T) / 2)
@@ -29,6 +30,7 @@ def noise_covariance(refined: Refined) -> Array:
     inverse = vectors[:, held] / values[held]
     scatter = _gradient_scatter(combined_tiles(refined.equations, info))
     scatter += refined.equations.H_anchor / np.outer(info.scale, info.scale)
+    scatter += np.outer(info.blur, info.blur)
     C = inverse @ (vectors[:, held].T @ scatter @ vectors[:, held]) @ inverse.T
     C += _NOTHING_MM**2 * vectors[:, ~held] @ vectors[:, ~held].T
     return C / np.outer(info.scale, info.scale)
