@@ -11,10 +11,14 @@ from itertools import product
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.registration.surface import Surface
+
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
 
 #: Scale of the local fits (standard deviation of the window), and distance of the places where they are made [px].
 _SCALE_PX, _STEP_PX = 5.0, 4
@@ -41,16 +45,15 @@ def height_by_blur(measurement: Measurement, surface: Surface) -> Map:
     other = measurement.rig.other(measurement.organised_on)
     view = measurement.views.get(measurement.organised_on)
     light = None if view is None else view.modulation if view.modulation is not None else view.mean
-    if other is None or other not in measurement.rig.cameras or measurement.position_px is None or light is None:
-        return nothing
-    if measurement.correspondence_px is None:
+    in_b, position = measurement.correspondence_px, measurement.position_px
+    if other is None or other not in measurement.rig.cameras or in_b is None or position is None or light is None:
         return nothing
     normals = surface.normals_sensor
-    known = np.isfinite(measurement.correspondence_px[..., 0] + measurement.position_px + normals[..., 2]) & (light > 0)
-    v, u = (grid[known[::_STEP_PX, ::_STEP_PX]] * _STEP_PX for grid in np.indices(nothing[::_STEP_PX, ::_STEP_PX].shape))
+    known = np.isfinite(in_b[..., 0] + position + normals[..., 2]) & (light > 0)
+    thinned = known[::_STEP_PX, ::_STEP_PX]
+    v, u = (index * _STEP_PX for index in np.nonzero(thinned))
     if len(u) == 0:
         return nothing
-    in_b, position = measurement.correspondence_px, measurement.position_px
     fields = [in_b[..., 0], in_b[..., 1], position, np.log(np.where(known, light, 1))]
     fits, enough = _quadratic_fits([np.where(known, f, np.nan) for f in fields], known, v, u)
     with np.errstate(all="ignore"):
@@ -63,8 +66,8 @@ def height_by_blur(measurement: Measurement, surface: Surface) -> Map:
         J = fits[0][:, 1:3], fits[1][:, 1:3]
         slope = np.einsum("ni,ni->n", _by_b(np.stack(J, 1), fits[2][:, 1:3]), per_mm)
         height = shift / slope * np.einsum("ni,ni->n", rays, normals[v, u])
-    sparse = np.full(nothing[::_STEP_PX, ::_STEP_PX].shape, np.nan, np.float32)
-    sparse[v // _STEP_PX, u // _STEP_PX] = np.where(enough & np.isfinite(height), height, np.nan)
+    sparse = np.full(thinned.shape, np.nan, np.float32)
+    sparse[thinned] = np.where(enough & np.isfinite(height), height, np.nan)
     return np.where(known, _spread(sparse, measurement.shape), np.float32(0))
 
 
@@ -91,7 +94,7 @@ def _inverse(J: Array) -> Array:
     return np.asarray(out / (J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0])[:, None, None])
 
 
-def _quadratic_fits(fields: list[Map], known: Array, v: Array, u: Array) -> tuple[list[Array], Array]:
+def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index) -> tuple[list[Array], Array]:
     """Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 (n, 6) of each field at places (n), by weighted least squares."""
     reach = int(_REACH * _SCALE_PX)
     t = np.arange(-reach, reach + 1) / _SCALE_PX
@@ -110,7 +113,7 @@ def _quadratic_fits(fields: list[Map], known: Array, v: Array, u: Array) -> tupl
     enough = moments[0, 0] > _MIN_SHARE * window.sum() ** 2
     M += 1e-6 * np.eye(6)
     # About a plane, so that float32 sums keep what is bent.
-    grid_v, grid_u = np.indices(known.shape, np.float32)
+    grid_v, grid_u = np.indices(known.shape).astype(np.float32)
     per = np.array([1, 1 / _SCALE_PX, 1 / _SCALE_PX, *[2 / _SCALE_PX**2, 1 / _SCALE_PX**2, 2 / _SCALE_PX**2]])
     right, planes = [], []
     for field in fields:
@@ -123,7 +126,7 @@ def _quadratic_fits(fields: list[Map], known: Array, v: Array, u: Array) -> tupl
     return [found[:, :, k] for k in range(len(fields))], enough
 
 
-def _plane(field: Map, known: Array) -> Array:
+def _plane(field: Map, known: Mask) -> Array:
     """Coefficients (1, u, v) of a plane through a sample of the field."""
     v, u = np.nonzero(known)
     step = max(1, len(u) // 2000)

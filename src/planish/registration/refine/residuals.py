@@ -27,7 +27,8 @@ class Equations:
     `slope_distance` and `slope_texture` are the sums of psi'(r) over those of psi(r) / r of the robust influence psi:
     by so much of H the gradient really changes. Of each tile (`tile` px) of b, `tile_gradients` (rows, columns, 2, 6)
     are the parts of the gradient of distance and texture, `tile_sizes` (rows, columns, 2, 2) number and sum of the
-    absolute values of the residuals. `g_blur` is the change of `g_distance` by the blur's standard deviation. `H_anchor` and `g_anchor` are those of windows (`Anchor`).
+    absolute values of the residuals. `g_blur` is the change of `g_distance` by the standard deviation of the blur.
+    `H_anchor` and `g_anchor` are those of windows (`Anchor`).
     """
 
     H_distance: Array
