@@ -1,6 +1,7 @@
 """The main job from the shell: captures in, one registered part out. Half the sensor's resolution, three captures."""
 
 import json
+import re
 import runpy
 import shutil
 from pathlib import Path
@@ -60,7 +61,7 @@ def test_errors_against_truth_stay_far_below_a_pixel(job):
 def test_registration_json_holds_exactly_the_keys_of_its_contract(job):
     folder, _ = job
     content = json.loads((folder / "out" / "registration.json").read_text())
-    assert set(content) == {"schema", "units", "versions", "options", "groups", "measurements", "pairs"}
+    assert set(content) == {"schema", "units", "versions", "options", "groups", "measurements", "pairs", "network"}
     assert content["schema"] == "planish.registration/1"
     assert set(content["groups"][0]) == {"id", "reference"}
     assert set(content["measurements"][0]) == {
@@ -100,6 +101,16 @@ def test_measurements_have_the_same_bytes_for_any_number_of_threads(job):
         found = Measurement.load(out / "m1.h5")
         assert np.array_equal(found.points_sensor, expected.points_sensor, equal_nan=True)
         assert np.array_equal(found.sigma_mm, expected.sigma_mm, equal_nan=True)
+
+
+def test_worker_processes_measure_the_same_bytes_and_speak_in_order(job):
+    folder, _ = job
+    out = folder / "measured_by_workers"
+    outcome = planish("measure", folder / "captures", "--out", out, "--workers", 2)
+    assert outcome.code == 0
+    assert re.findall(r"^(m\d): \d+ points", outcome.out, re.MULTILINE) == ["m1", "m2", "m3"]
+    for name in ("m1.h5", "m2.h5", "m3.h5"):
+        assert (out / name).read_bytes() == (folder / "measurements" / name).read_bytes()
 
 
 def test_the_cloud_holds_every_valid_point(job):

@@ -113,6 +113,18 @@ def test_the_covariance_between_two_measurements_does_not_depend_on_the_referenc
         np.testing.assert_allclose(scale * from_b.calibration[name], scale * in_b.T, atol=FIRST_ORDER)
 
 
+def test_the_joint_covariance_knows_the_calibration_between_any_two_measurements():
+    items = [shifted(*names) for names in ALL]
+    joint = build_network(nodes(), items, reference="a").joint
+    for reference in "bc":
+        for placed in build_network(nodes(), items, reference=reference).measurements:
+            if placed.name == reference:
+                continue
+            found, expected = joint.between(reference, placed.name), placed.covariance_calibration
+            largest = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+            np.testing.assert_allclose(found.covariance_calibration / largest, expected / largest, atol=FIRST_ORDER)
+
+
 def test_the_reference_has_none_and_pairs_without_a_statement_leave_none():
     items = [shifted(*names) for names in ALL]
     result = build_network(nodes(), items, reference="a")

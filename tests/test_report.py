@@ -13,9 +13,9 @@ import pytest
 import registered
 from planish.registration.result import Registration
 from planish.report import write_report
+from planish.report.scene import MAX_POINTS, grid_step
 from planish.report.style import nice_limit
 from planish.report.text import verdict
-from planish.report.view3d import MAX_POINTS, grid_step
 
 #: A report of five full-size measurements must still go by mail; this small one must stay far below.
 MAX_BYTES = 12e6

@@ -4,7 +4,16 @@ from importlib.metadata import version
 
 from planish.errors import InputError
 from planish.measurement import Measurement
-from planish.pipeline import CalibrateOptions, MeasureOptions, RegisterOptions, calibrate, measure, register
+from planish.pipeline import (
+    CalibrateOptions,
+    MeasureOptions,
+    RegisterOptions,
+    add_files,
+    calibrate,
+    measure,
+    register,
+    register_files,
+)
 from planish.registration.result import PairResult, Registration
 from planish.rig import Camera, Rig, read_rig, write_rig
 from planish.sensing.calibrate.result import Calibration
@@ -23,10 +32,12 @@ __all__ = [
     "Registration",
     "Rig",
     "__version__",
+    "add_files",
     "calibrate",
     "measure",
     "read_rig",
     "register",
+    "register_files",
     "write_rig",
 ]
 

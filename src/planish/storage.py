@@ -72,7 +72,7 @@ def save(path: Path, value: Any, schema: str) -> None:
     """Write a dataclass to an HDF5 file whose `schema` attribute is `schema`."""
     with replacing(Path(path)) as temporary, h5py.File(temporary, "w", track_order=True) as file:
         file.attrs["schema"] = schema
-        _write_fields(file, value)
+        write_fields(file, value)
 
 
 def load(path: Path, kind: type[T], schema: str) -> T:
@@ -91,7 +91,7 @@ def load(path: Path, kind: type[T], schema: str) -> T:
             found = file.attrs.get("schema")
             if found != schema:
                 raise InputError(path, f"schema is {found!r}", f"'{schema}'")
-            return _read_fields(file, kind)
+            return read_fields(file, kind)
     except InputError as error:
         if error.subject.startswith(str(path)):
             raise
@@ -100,7 +100,8 @@ def load(path: Path, kind: type[T], schema: str) -> T:
         raise InputError(path, f"is damaged or not HDF5 ({error})", f"a whole file of schema {schema}") from None
 
 
-def _write_fields(group: Any, value: Any) -> None:
+def write_fields(group: Any, value: Any) -> None:
+    """Write the fields of a dataclass into an HDF5 group."""
     for field in dataclasses.fields(value):
         _write(group, field.name, getattr(value, field.name), field.metadata.get("unit"))
 
@@ -111,7 +112,7 @@ def _write(group: Any, name: str, item: Any, unit: str | None = None) -> None:
     elif hasattr(item, "to_json"):
         group.attrs[name] = json.dumps(item.to_json())
     elif dataclasses.is_dataclass(item):
-        _write_fields(group.create_group(name, track_order=True), item)
+        write_fields(group.create_group(name, track_order=True), item)
     elif isinstance(item, Mapping):
         child = group.create_group(name, track_order=True)
         for key, entry in item.items():
@@ -128,7 +129,8 @@ def _write(group: Any, name: str, item: Any, unit: str | None = None) -> None:
         group.attrs[name] = item
 
 
-def _read_fields(group: Any, kind: type[T]) -> T:
+def read_fields(group: Any, kind: type[T]) -> T:
+    """Return the object of dataclass `kind` whose fields an HDF5 group holds."""
     hints = typing.get_type_hints(kind)
     names = [field.name for field in dataclasses.fields(typing.cast(Any, kind))]
     return kind(**{name: _read(group, name, hints[name]) for name in names})
@@ -156,7 +158,7 @@ def _read(group: Any, name: str, hint: Any) -> Any:
     if origin is tuple:
         return tuple(_read(node, key, typing.get_args(hint)[0]) for key in sorted(node.keys()))
     if dataclasses.is_dataclass(hint):
-        return _read_fields(node, typing.cast(Any, hint))
+        return read_fields(node, typing.cast(Any, hint))
     return node[()]
 
 

@@ -13,14 +13,14 @@ from rich.table import Table
 from planish.cli import console
 from planish.cli.evaluate import print_overlap_table, print_truth_tables, stdout
 from planish.cli.measure import find_captures, summary
-from planish.cli.register import print_groups, register_files
-from planish.evaluation.prepared import Prepared
+from planish.cli.register import find_measurements, print_groups, run_files
 from planish.evaluation.truth import Truth, compare_with_truth
+from planish.execution.executor import Threads
 from planish.files.cloud import write_registered
 from planish.options import thread_count
 from planish.pipeline import measure
+from planish.pipeline.reporting import PreparedFiles, report_files
 from planish.registration.result import Registration
-from planish.report import write_report
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
 
@@ -51,15 +51,14 @@ def demo(
             measurement = measure(capture, threads=count)
             measurement.save(measured / f"{measurement.name}.h5")
             typer.echo(summary(measurement))
-    run = register_files([measured], out, None, None, threads)
-    prepared = {n: Prepared(p.measurement, p.surface, p.contrast) for n, p in run.prepared.items()}
-    with console.status("evaluating, writing cloud and report"):
-        truth = Truth.load(captures / "truth.json")
-        evaluation = compare_with_truth(run.registration, truth, prepared)
-        evaluation.save(out / "evaluation.json")
-        surfaces = {name: p.surface for name, p in run.prepared.items()}
-        write_registered(out, run.registration, {n: p.measurement for n, p in prepared.items()}, surfaces)
-        report = write_report(run.registration, prepared, list(run.overlaps.values()), out, evaluation, count)
+    with Threads(threads) as executor:
+        run = run_files(find_measurements([measured]), out, executor)
+        with console.status("evaluating, writing cloud and report"):
+            prepared = PreparedFiles(run, count)
+            evaluation = compare_with_truth(run.registration, Truth.load(captures / "truth.json"), prepared)
+            evaluation.save(out / "evaluation.json")
+            write_registered(out, run.registration, prepared)
+            report = report_files(run, out, executor, evaluation)
     print_overlap_table(run.registration)
     print_beside_paper(run.registration)
     print_truth_tables(evaluation)

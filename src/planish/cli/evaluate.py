@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -20,6 +20,7 @@ from planish.evaluation.overlap import DEFINITION, evaluate_overlap
 from planish.evaluation.prepared import Prepared
 from planish.evaluation.result import Evaluation, MeasurementError, PairError
 from planish.evaluation.truth import Truth, compare_with_truth
+from planish.execution.recent import Recent, main_process_bytes
 from planish.measurement import Measurement
 from planish.registration.result import PairResult, PlacedMeasurement, Registration
 
@@ -45,7 +46,7 @@ def evaluate(
     if true_places is not None:
         true_places.require([m.name for m in registration.measurements], str(truth))
     with console.status("reading measurements"):
-        prepared = load_measurements(folder, registration, measurements)
+        prepared = find_measurements(folder, registration, measurements)
     with console.status("comparing"):
         registration = replace(registration, pairs=tuple(_with_overlap(p, prepared) for p in registration.pairs))
         evaluation = (
@@ -58,15 +59,30 @@ def evaluate(
     console.print(f"wrote {folder / 'evaluation.json'}", highlight=False)
 
 
-def load_measurements(folder: Path, registration: Registration, moved_to: Path | None = None) -> dict[str, Prepared]:
-    """Return the measurements of a registration by name, read from where `run.json` (or `moved_to`) says they lie.
+class MeasurementFiles(Mapping[str, Prepared]):
+    """The measurements of a registration by name, each read when it is asked for, and kept for a while."""
+
+    def __init__(self, paths: Mapping[str, Path]) -> None:
+        self._paths, self._recent = paths, Recent(main_process_bytes())
+
+    def __getitem__(self, name: str) -> Prepared:
+        return self._recent.get(name, lambda: Prepared(Measurement.load(self._paths[name])))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._paths)
+
+    def __len__(self) -> int:
+        return len(self._paths)
+
+
+def find_measurements(folder: Path, registration: Registration, moved_to: Path | None = None) -> MeasurementFiles:
+    """Return the measurements of a registration by name, which lie where `run.json` (or `moved_to`) says.
 
     Raises
     ------
     InputError
         Where a file is missing or is not the one that was registered.
     """
-    paths: dict[str, Any] = {}
     if moved_to is None:
         run = folder / "run.json"
         paths = storage.read_json(run).get("measurements", {})
@@ -75,10 +91,10 @@ def load_measurements(folder: Path, registration: Registration, moved_to: Path |
                 raise InputError(run, f"names no file for the measurement '{item.name}'", "the run.json of this folder")
     else:
         paths = {item.name: str(moved_to / item.file) for item in registration.measurements}
-    return {item.name: Prepared(_load(item, Path(paths[item.name]))) for item in registration.measurements}
+    return MeasurementFiles({item.name: _checked(item, Path(paths[item.name])) for item in registration.measurements})
 
 
-def _load(item: PlacedMeasurement, path: Path) -> Measurement:
+def _checked(item: PlacedMeasurement, path: Path) -> Path:
     if not path.is_file():
         raise InputError(path, "no such file", f"the measurement '{item.name}'; if it has moved: --measurements DIR")
     found = storage.sha256(path)
@@ -86,10 +102,10 @@ def _load(item: PlacedMeasurement, path: Path) -> Measurement:
         raise InputError(
             path, f"has changed since it was registered (SHA-256 {found[:12]}...)", f"{item.sha256[:12]}..."
         )
-    return Measurement.load(path)
+    return path
 
 
-def _with_overlap(pair: PairResult, prepared: dict[str, Prepared]) -> PairResult:
+def _with_overlap(pair: PairResult, prepared: Mapping[str, Prepared]) -> PairResult:
     """Fill in what an accepted pair does not say about its overlap."""
     if pair.status != "accepted" or pair.T_a_b is None or pair.overlap_error is not None:
         return pair

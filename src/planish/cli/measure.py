@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,7 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from planish.cli import console
 from planish.errors import InputError
-from planish.measurement import Measurement
+from planish.execution.pool import WorkerPool
+from planish.measurement import Finding, Measurement
 from planish.options import thread_count
 from planish.pipeline import MeasureOptions
 from planish.pipeline import measure as measure_capture
@@ -64,24 +67,73 @@ def summary(measurement: Measurement) -> str:
     )
 
 
-def _say(measurement: Measurement, all_findings: bool) -> None:
-    """Print what the capture says about itself: findings as results, what the user should know as warnings."""
-    for finding in measurement.findings:
-        if all_findings or finding.quantity.startswith(MAIN_FINDINGS):
-            typer.echo(f"  {finding}")
-        if finding.warning:
-            console.print("warning:", style="bold yellow", end=" ")
-            text = f"{measurement.name}: {finding.warning}"
-            console.print(text, highlight=False, markup=False, soft_wrap=True)
+@dataclass(frozen=True)
+class Job:
+    """A capture to be measured into a folder; `rig` are calibration files instead of its own."""
+
+    capture: Capture
+    options: MeasureOptions
+    rig: tuple[Path, ...]
+    out: Path
+    why: bool
 
 
-def _explain(measurement: Measurement, path: Path) -> None:
+@dataclass(frozen=True)
+class Measured:
+    """What is said of a measurement that has been written; `shares` of pixels without a point, by reason."""
+
+    name: str
+    summary: str
+    findings: tuple[Finding, ...]
+    shares: dict[str, str]
+
+
+def measure_job(job: Job, threads: int) -> Measured:
+    """Measure a capture and write its measurement."""
+    capture = job.capture
+    rig = capture.load_rig(job.options.organise_on, list(job.rig) or None)
+    measurement = measure_capture(capture, job.options, threads, rig)
+    measurement.save(job.out / f"{measurement.name}.h5")
+    shares = _explain(measurement, job.out / f"{measurement.name}_why.png") if job.why else {}
+    return Measured(measurement.name, summary(measurement), measurement.findings, shares)
+
+
+def _explain(measurement: Measurement, path: Path) -> dict[str, str]:
     # Here, not above: what draws takes a while to be imported.
     from planish.report.why import rejection_shares, share_text, write_why
 
     write_why(path, measurement)
-    for name, share in rejection_shares(measurement).items():
-        typer.echo(f"  {name:<16}{share_text(share):>9}")
+    return {name: share_text(share) for name, share in rejection_shares(measurement).items()}
+
+
+def _say(done: Measured, all_findings: bool) -> None:
+    """Print what the capture says about itself: findings as results, what the user should know as warnings."""
+    typer.echo(done.summary)
+    for finding in done.findings:
+        if all_findings or finding.quantity.startswith(MAIN_FINDINGS):
+            typer.echo(f"  {finding}")
+        if finding.warning:
+            console.print("warning:", style="bold yellow", end=" ")
+            text = f"{done.name}: {finding.warning}"
+            console.print(text, highlight=False, markup=False, soft_wrap=True)
+    for name, share in done.shares.items():
+        typer.echo(f"  {name:<16}{share:>9}")
+
+
+def _measured(jobs: Sequence[Job], threads: int, workers: int | None) -> Iterator[Measured]:
+    """Yield what has been measured, in the order of the jobs."""
+    if workers is None:
+        # One after the other: a capture's images fill the threads, and one capture at a time the memory.
+        yield from (measure_job(job, threads) for job in jobs)
+        return
+    waiting: dict[int, Measured] = {}
+    said = 0
+    with WorkerPool(workers, threads) as pool:
+        for index, done in pool.map(measure_job, jobs):
+            waiting[index] = done
+            while said in waiting:
+                yield waiting.pop(said)
+                said += 1
 
 
 def _views(text: str) -> tuple[str, ...]:
@@ -106,23 +158,20 @@ def measure(
         bool, typer.Option("--findings", help="Print all that a capture says about itself, not the main points only.")
     ] = False,
     threads: Annotated[int | None, typer.Option(help="Threads; the bytes do not depend on it.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Worker processes, each with a capture of its own, that share the threads.")
+    ] = None,
 ) -> None:
     """Turn the fringe images of each CAPTURE into a textured 3D measurement."""
     values: dict[str, Any] = {"organise_on": organise_on, "geometry": geometry, "texture_views": _views(texture_views)}
     options = MeasureOptions.parse(values, "measure")
     count = thread_count(threads)
-    found = find_captures(captures, images)
+    jobs = [Job(capture, options, tuple(rig or ()), out, why) for capture in find_captures(captures, images)]
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("measuring", total=len(found))
-        for capture in found:
-            progress.update(task, description=f"measuring {capture.name}")
-            measurement = measure_capture(capture, options, count, capture.load_rig(options.organise_on, rig or None))
-            measurement.save(out / f"{measurement.name}.h5")
-            typer.echo(summary(measurement))
-            _say(measurement, findings)
-            if why:
-                _explain(measurement, out / f"{measurement.name}_why.png")
+        task = progress.add_task("measuring", total=len(jobs))
+        for measured in _measured(jobs, count, workers):
+            _say(measured, findings)
             progress.advance(task)
 
 

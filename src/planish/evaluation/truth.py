@@ -18,6 +18,7 @@ from planish.evaluation.overlap import overlap_fraction, signed_distances
 from planish.evaluation.prepared import Prepared
 from planish.evaluation.result import Evaluation, MeasurementError, PairError
 from planish.geometry import Array, difference, invert, require_rigid, rotation_angle, transform_points
+from planish.measurement import Map
 from planish.options import Strict
 from planish.registration.result import PairResult, PlacedMeasurement, Registration
 
@@ -104,7 +105,8 @@ def compare_with_truth(
         for pair in registration.pairs
         if pair.status == "accepted" and pair.T_a_b is not None
     )
-    references = {group.id: group.reference for group in registration.groups}
+    by_name = {m.name: m for m in registration.measurements}
+    references = {group.id: by_name[group.reference] for group in registration.groups}
     placed = tuple(
         _measurement_error(m, references[m.group], truth, measurements[m.name], findings)
         for m in registration.measurements
@@ -115,7 +117,7 @@ def compare_with_truth(
 
 def true_overlap(a: Prepared, b: Prepared, T_a_b: Array, threads: int | None = None) -> tuple[float, NDArray[np.bool_]]:
     """Return the overlap under a true transform and which pixels (H, W) of b lie in it."""
-    if not _boxes_touch(a, b, T_a_b):
+    if not _Extent.of(a).touches(_Extent.of(b), T_a_b):
         return 0.0, np.zeros(b.measurement.shape, bool)
     of_b, _ = signed_distances(a, b, T_a_b, threads=threads)
     of_a, _ = signed_distances(b, a, invert(T_a_b), threads=threads)
@@ -177,14 +179,17 @@ def _pair_error(
 
 
 def _measurement_error(
-    placed: PlacedMeasurement, reference: str, truth: Truth, item: Prepared, findings: list[str]
+    placed: PlacedMeasurement, reference: PlacedMeasurement, truth: Truth, item: Prepared, findings: list[str]
 ) -> MeasurementError:
-    if not truth.same_part(reference, placed.name):
-        findings.append(f"WRONG: {placed.name} is tied to {reference}, but they show different parts")
+    if not truth.same_part(reference.name, placed.name):
+        findings.append(f"WRONG: {placed.name} is tied to {reference.name}, but they show different parts")
         return MeasurementError(placed.name)
-    T_true, T_hat = truth.transform(reference, placed.name), placed.T_world_measurement
+    T_true = truth.transform(reference.name, placed.name)
+    # The world may be a frame given from outside, of which the truth knows nothing.
+    T_hat = invert(reference.T_world_measurement) @ placed.T_world_measurement
     tangential, normal = error_rms(T_hat, T_true, item, item.measurement.valid) or (None, None)
-    noise = None if placed.name == reference else placed.covariance_noise
+    # Covariances are relative to the reference only where it is the datum.
+    noise = None if placed.name == reference.name or reference.covariance_noise.any() else placed.covariance_noise
     value = nees(T_hat, T_true, placed.covariance_point_mm, noise, placed.covariance_calibration)
     return MeasurementError(placed.name, tangential, normal, value)
 
@@ -194,8 +199,12 @@ def _missing_pairs(
 ) -> list[str]:
     accepted = {frozenset((p.a, p.b)) for p in registration.pairs if p.status == "accepted"}
     found = []
-    for a, b in combinations([m.name for m in registration.measurements], 2):
+    # Each measurement is asked for once, and again only where two come near each other.
+    extents = {m.name: _Extent.of(measurements[m.name]) for m in registration.measurements}
+    for a, b in combinations(extents, 2):
         if frozenset((a, b)) in accepted or not truth.same_part(a, b):
+            continue
+        if not extents[a].touches(extents[b], truth.transform(a, b)):
             continue
         overlap, _ = true_overlap(measurements[a], measurements[b], truth.transform(a, b), threads)
         if overlap >= MISSING_OVERLAP:
@@ -203,14 +212,24 @@ def _missing_pairs(
     return found
 
 
-def _boxes_touch(a: Prepared, b: Prepared, T_a_b: Array) -> bool:
-    """Return whether the axis-parallel boxes of a and of b, moved into a's frame, come within a millimetre."""
-    # Every 4th pixel, and a margin for what lies between: this only saves the look-ups of pairs far apart.
-    samples = [item.measurement.points_sensor[::4, ::4].reshape(-1, 3) for item in (a, b)]
-    points = [p[np.isfinite(p[:, 2])].astype(float) for p in samples]
-    if not all(len(p) for p in points):
-        return True
-    points[1] = transform_points(T_a_b, points[1])
-    margin = 1.0 + 8 * max(a.gsd_mm, b.gsd_mm)
-    low, high = [p.min(0) for p in points], [p.max(0) for p in points]
-    return bool((np.maximum(*low) <= np.minimum(*high) + margin).all())
+@dataclass(frozen=True)
+class _Extent:
+    """Points (N, 3) of every 4th row and column, and the size of a pixel [mm]."""
+
+    points: Map
+    gsd_mm: float
+
+    @classmethod
+    def of(cls, item: Prepared) -> _Extent:
+        points = item.measurement.points_sensor[::4, ::4].reshape(-1, 3)
+        return cls(points[np.isfinite(points[:, 2])], item.gsd_mm)
+
+    def touches(self, b: _Extent, T_a_b: Array) -> bool:
+        """Return whether the axis-parallel boxes of this and of b, moved into its frame, come within a millimetre."""
+        if not len(self.points) or not len(b.points):
+            return True
+        # A margin for what lies between the points: this only saves the look-ups of pairs far apart.
+        margin = 1.0 + 8 * max(self.gsd_mm, b.gsd_mm)
+        points = self.points.astype(float), transform_points(T_a_b, b.points.astype(float))
+        low, high = [p.min(0) for p in points], [p.max(0) for p in points]
+        return bool(np.all(low[0] <= high[1] + margin) and np.all(low[1] <= high[0] + margin))

@@ -6,7 +6,7 @@ at half the size of float64; and some readers round float64 to float32 anyway.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from planish import storage
 from planish.errors import InputError
+from planish.evaluation.prepared import Prepared
 from planish.geometry import Array, transform_points
 from planish.measurement import Map, Measurement
-from planish.registration.result import Registration
-from planish.registration.surface import Surface, fit_surface
+from planish.registration.result import PlacedMeasurement, Registration
+from planish.registration.surface import Surface
 
 #: One point of the file; `measurement` is the index into the names listed in the header's comments.
 POINT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz", "intensity")] + [("measurement", "<u2")])
@@ -51,29 +52,41 @@ def cloud(
     return out
 
 
-def write_ply(path: Path, clouds: Sequence[NDArray[np.void]], comments: Sequence[str] = ()) -> None:
-    """Write clouds of dtype POINT as one binary little-endian PLY."""
-    lines = ["ply", "format binary_little_endian 1.0", "comment units mm", *(f"comment {text}" for text in comments)]
-    lines.append(f"element vertex {sum(len(c) for c in clouds)}")
-    lines += [f"property {_PLY_TYPES[POINT[name].str]} {name}" for name in POINT.names or ()]
-    header = "\n".join([*lines, "end_header", ""]).encode("utf-8")
+def write_ply(path: Path, clouds: Iterable[NDArray[np.void]], comments: Sequence[str], most: int) -> None:
+    """Write clouds of dtype POINT as one binary little-endian PLY, one after the other; `most` points altogether."""
+    size = len(_header(most, comments, 0)) + _PADDING
     with storage.replacing(Path(path)) as temporary, temporary.open("wb") as file:
-        file.write(header)
+        file.write(b"\0" * size)
+        count = 0
         for points in clouds:
             file.write(np.ascontiguousarray(points).data)
+            count += len(points)
+        # The number of points stands before them, and is known after them.
+        file.seek(0)
+        file.write(_header(count, comments, size))
+
+
+#: Bytes of a comment that fills the header up.
+_PADDING = len("comment \n")
+
+
+def _header(count: int, comments: Sequence[str], size: int) -> bytes:
+    """Return the header, filled up to `size` bytes by a comment of spaces."""
+    lines = ["ply", "format binary_little_endian 1.0", "comment units mm", *(f"comment {text}" for text in comments)]
+    tail = [f"element vertex {count}"]
+    tail += [f"property {_PLY_TYPES[POINT[name].str]} {name}" for name in POINT.names or ()]
+    missing = size - len("\n".join([*lines, *tail, "end_header", ""]).encode("utf-8"))
+    fill = ["comment".ljust(missing - 1)] if missing > 0 else []
+    return "\n".join([*lines, *fill, *tail, "end_header", ""]).encode("utf-8")
 
 
 def write_registered(
-    out: Path,
-    registration: Registration,
-    measurements: Mapping[str, Measurement],
-    surfaces: Mapping[str, Surface] | None = None,
-    step_px: int = 1,
+    out: Path, registration: Registration, measurements: Mapping[str, Measurement | Prepared], step_px: int = 1
 ) -> list[Path]:
     """Write `registered.ply` to the folder `out`: the largest group, in its world.
 
     Each further group of two or more measurements goes to a file `registered_group<id>.ply` of its own: groups have no
-    common frame.
+    common frame. Measurements are asked for one after the other; a mapping may read them then.
 
     Returns
     -------
@@ -91,12 +104,19 @@ def write_registered(
         if position > 0 and len(members[group]) < 2:
             continue
         path = Path(out) / ("registered.ply" if position == 0 else f"registered_group{group}.ply")
-        clouds, comments = [], [f"group {group}, world = sensor frame of {references[group]}"]
-        for placed in members[group]:
-            item = measurements[placed.name]
-            surface = surfaces[placed.name] if surfaces is not None else fit_surface(item)
-            clouds.append(cloud(item, placed.T_world_measurement, indices[placed.name], surface, step_px))
-            comments.append(f"measurement {indices[placed.name]} = {placed.name}")
-        write_ply(path, clouds, comments)
+        comments = [f"group {group}, world = sensor frame of {references[group]}"]
+        comments += [f"measurement {indices[placed.name]} = {placed.name}" for placed in members[group]]
+
+        def clouds(placed_ones: Sequence[PlacedMeasurement]) -> Iterator[NDArray[np.void]]:
+            for placed in placed_ones:
+                item = Prepared.of(measurements[placed.name])
+                T, index = placed.T_world_measurement, indices[placed.name]
+                yield cloud(item.measurement, T, index, item.surface, step_px)
+
+        write_ply(path, clouds(members[group]), comments, len(members[group]) * _MOST_POINTS)
         paths.append(path)
     return paths
+
+
+#: More points than any measurement has.
+_MOST_POINTS = 10**9

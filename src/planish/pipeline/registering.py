@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from importlib.metadata import version
-from itertools import combinations
 from typing import TypeVar
 
-import cv2
 import numpy as np
 
 from planish.errors import InputError
 from planish.evaluation import prepared as evaluation
 from planish.evaluation.overlap import OverlapEvaluation, evaluate_overlap
+from planish.execution.executor import Threads
 from planish.measurement import Measurement
 from planish.options import thread_count
-from planish.registration.network.adjust import NetworkOptions
+from planish.pipeline.options import RegisterOptions
+from planish.pipeline.stages import centroid, some_points
+from planish.pipeline.versions import versions
+from planish.registration.candidates import candidate_pairs
 from planish.registration.network.build import Node, build_network
+from planish.registration.network.given import Given
 from planish.registration.pair import (
     PairOptions,
     Prepared,
@@ -28,6 +29,7 @@ from planish.registration.pair import (
     prepare,
     register_pair,
 )
+from planish.registration.pair_costs import pair_costs
 from planish.registration.result import PairResult, Registration
 from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.fixed_pattern import estimate_fixed_patterns
@@ -37,12 +39,6 @@ Value = TypeVar("Value")
 
 #: Called with the name of a stage, what is done and what is to do.
 Progress = Callable[[str, int, int], None]
-
-
-class RegisterOptions(PairOptions):
-    """Options of the whole registration: of the pairs and of the network."""
-
-    network: NetworkOptions = NetworkOptions()
 
 
 @dataclass(frozen=True)
@@ -59,6 +55,7 @@ def register(
     options: RegisterOptions | None = None,
     *,
     reference: str | None = None,
+    given: Given | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Registration:
@@ -71,6 +68,8 @@ def register(
     options : RegisterOptions, optional
     reference : str, optional
         Measurement whose frame becomes the world of its group; default the most central one.
+    given : Given, optional
+        Known points, a robot's transforms, a surface of the part: tested, then used.
     threads : int, optional
         Default: all processors. The result does not depend on it.
     progress : callable, optional
@@ -86,7 +85,10 @@ def register(
     InputError
         Where there is no measurement, a name stands twice, or `reference` is none of them.
     """
-    return register_run(measurements, options, reference=reference, threads=threads, progress=progress).registration
+    run = register_run(
+        measurements, options, reference=reference, given=given, threads=threads, progress=progress
+    )  # fmt: skip
+    return run.registration
 
 
 def register_run(
@@ -95,6 +97,7 @@ def register_run(
     *,
     reference: str | None = None,
     files: Mapping[str, tuple[str, str]] | None = None,
+    given: Given | None = None,
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> RegisteredRun:
@@ -110,8 +113,9 @@ def register_run(
     pairs = [_with_overlap(pair, overlaps.get((pair.a, pair.b))) for pair in pairs]
     nodes = [_node(m, *(files or {}).get(m.name, ("", ""))) for m in ordered]
     registration = build_network(
-        nodes, pairs, options.network, reference=reference, record=options.model_dump(mode="json"), versions=versions()
-    )
+        nodes, pairs, options.network, reference=reference, record=options.model_dump(mode="json"), versions=versions(),
+        given=given, normal_equations=pair_costs(prepared, options, count),
+    )  # fmt: skip
     return RegisteredRun(registration, prepared, overlaps)
 
 
@@ -130,11 +134,6 @@ def prepare_run(
     return options, _prepare_all(measurements, fixed, pitch, options, count, say)
 
 
-def versions() -> dict[str, str]:
-    """Return the versions that a result depends on."""
-    return {"planish": version("planish"), "numpy": np.__version__, "opencv": cv2.__version__}
-
-
 def _checked(measurements: Sequence[Measurement], reference: str | None) -> list[Measurement]:
     names = [m.name for m in measurements]
     if not names:
@@ -150,24 +149,13 @@ def _checked(measurements: Sequence[Measurement], reference: str | None) -> list
 def _parallel(
     items: Sequence[Item], function: Callable[[Item, int], Value], stage: str, threads: int, say: Progress
 ) -> list[Value]:
-    """Apply function(item, threads of its own) to all items, in order of the items, several at a time.
-
-    Whole items side by side use the processors better than the threads inside one item, much of which is serial.
-    """
-    workers = max(1, min(threads, len(items)))
-    own = max(1, threads // workers)
-    cv2.setNumThreads(own)
-    values: list[Value] = []
+    """Apply function(item, threads of its own) to all items, in order of the items, several at a time."""
+    values: dict[int, Value] = {}
     say(stage, 0, len(items))
-    pool = ThreadPoolExecutor(workers)
-    try:
-        for value in pool.map(lambda item: function(item, own), items):
-            values.append(value)
-            say(stage, len(values), len(items))
-    finally:
-        # An interrupt must not wait for what has not begun.
-        pool.shutdown(cancel_futures=True)
-    return values
+    for index, value in Threads(threads).map(function, items):
+        values[index] = value
+        say(stage, len(values), len(items))
+    return [values[index] for index in range(len(items))]
 
 
 def _prepare_all(
@@ -188,7 +176,7 @@ def _prepare_all(
 def _register_pairs(
     prepared: Mapping[str, Prepared], options: RegisterOptions, threads: int, say: Progress
 ) -> list[PairResult]:
-    tried = list(combinations(sorted(prepared), 2))
+    tried = candidate_pairs({name: item.keypoints for name, item in prepared.items()})
 
     def one(pair: tuple[str, str], own: int) -> PairResult:
         return register_pair(prepared[pair[0]], prepared[pair[1]], options, len(tried), own)
@@ -217,5 +205,4 @@ def _with_overlap(pair: PairResult, overlap: OverlapEvaluation | None) -> PairRe
 
 
 def _node(measurement: Measurement, file: str, sha256: str) -> Node:
-    points = measurement.points_sensor[measurement.valid].astype(float)
-    return Node(measurement.name, file, sha256, points.mean(0) if len(points) else np.zeros(3))
+    return Node(measurement.name, file, sha256, centroid(measurement), some_points(measurement))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -88,15 +88,25 @@ _PITCH_GSD = 1.5
 REFERENCE_GSD_MM = 0.33
 
 
+def median_gsd(gsds_mm: Iterable[float]) -> float:
+    """Return the ground sample distance of a run [mm per pixel] from those of its measurements (NaN where unknown)."""
+    known = [g for g in gsds_mm if np.isfinite(g)]
+    return float(np.median(known)) if known else REFERENCE_GSD_MM
+
+
 def common_gsd(measurements: Sequence[Measurement]) -> float:
     """Return the median ground sample distance of a run [mm per pixel], so that keypoints of all compare."""
-    known = [g for g in map(ground_sample_distance, measurements) if np.isfinite(g)]
-    return float(np.median(known)) if known else REFERENCE_GSD_MM
+    return median_gsd(map(ground_sample_distance, measurements))
+
+
+def texture_pitch(gsd_mm: float) -> float:
+    """Return the pitch of the texture images [mm] of a run of this ground sample distance [mm per pixel]."""
+    return _PITCH_GSD * gsd_mm
 
 
 def common_pitch(measurements: Sequence[Measurement]) -> float:
     """Return the pitch of the texture images of a run [mm]."""
-    return _PITCH_GSD * common_gsd(measurements)
+    return texture_pitch(common_gsd(measurements))
 
 
 def length_factor(gsd_mm: float) -> float:
@@ -105,6 +115,47 @@ def length_factor(gsd_mm: float) -> float:
     Steps, so that one more measurement does not change every option a little.
     """
     return float(2.0 ** (round(4 * np.log2(gsd_mm / REFERENCE_GSD_MM)) / 4))
+
+
+@dataclass(frozen=True)
+class Textured:
+    """A measurement with its surface, its local contrast (value, sigma) and its texture images."""
+
+    measurement: Measurement
+    surface: Surface
+    contrast: tuple[Map, Map]
+    images: tuple[TextureImage, ...]
+
+
+def draw_texture(
+    measurement: Measurement,
+    pitch_mm: float,
+    options: PairOptions | None = None,
+    threads: int | None = None,
+    fixed: FixedPattern | None = None,
+) -> Textured:
+    """Return surface and texture images of one measurement: all that its keypoints need.
+
+    `fixed` is the pattern of its sensor (`estimate_fixed_patterns`), which is no texture.
+    """
+    options = options or PairOptions()
+    surface = fit_surface(measurement, options.surface, threads)
+    contrast = local_contrast(measurement, options.photometric, surface, fixed, threads)
+    images = texture_images(measurement, surface, contrast, pitch_mm, options.charts, threads)
+    return Textured(measurement, surface, contrast, images)
+
+
+def prepare_textured(
+    item: Textured, keypoints: Keypoints, options: PairOptions | None = None, threads: int | None = None
+) -> Prepared:
+    """Return what pairs need beyond texture images and keypoints: maps for patches and refinement."""
+    options = options or PairOptions()
+    measurement, surface, contrast = item.measurement, item.surface, item.contrast
+    spacings, shading_mm = options.refine.spacing_px, options.photometric.shading_mm
+    sides = joint_sides(measurement, surface, contrast, spacings, shading_mm, threads)
+    fit_sides = _without(sides, held_out_pixels(measurement))
+    patches = patch_images(item.images)
+    return Prepared(measurement, surface, contrast, item.images, patches, keypoints, sides, fit_sides, options.dense)
 
 
 def prepare(
@@ -119,15 +170,8 @@ def prepare(
     `fixed` is the pattern of its sensor (`estimate_fixed_patterns`), which is no texture.
     """
     options = options or PairOptions()
-    surface = fit_surface(measurement, options.surface, threads)
-    contrast = local_contrast(measurement, options.photometric, surface, fixed, threads)
-    images = texture_images(measurement, surface, contrast, pitch_mm, options.charts, threads)
-    keypoints = detect_keypoints(images, options.keypoints)
-    spacings, shading_mm = options.refine.spacing_px, options.photometric.shading_mm
-    sides = joint_sides(measurement, surface, contrast, spacings, shading_mm, threads)
-    fit_sides = _without(sides, held_out_pixels(measurement))
-    patches = patch_images(images)
-    return Prepared(measurement, surface, contrast, images, patches, keypoints, sides, fit_sides, options.dense)
+    textured = draw_texture(measurement, pitch_mm, options, threads, fixed)
+    return prepare_textured(textured, detect_keypoints(textured.images, options.keypoints), options, threads)
 
 
 def register_pair(
@@ -138,7 +182,7 @@ def register_pair(
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse = find_consensus(matches, options.consensus, threads, search=_patch_search(a, options.match))
     result = _judged(a, b, matches, coarse, options, pairs_in_run, threads)
-    if result.status != "refused" or not (options.dense.enabled and _is_weak(a, b, options.dense)):
+    if result.status != "refused" or not (options.dense.enabled and is_weak(a, b, options.dense)):
         return result
     windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
     search = Search(np.inf, windows.chance, windows.tried)
@@ -193,7 +237,7 @@ def _patch_side(side: Prepared) -> PatchSide:
     return PatchSide(side.keypoints, side.images, side.patches)
 
 
-def _is_weak(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
+def is_weak(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
     """Whether single pixels hold too little texture: keypoints may fail, and slopes are mostly noise."""
     return min(a.signal_to_noise, b.signal_to_noise) < options.max_signal_to_noise
 
@@ -207,7 +251,7 @@ def _refined_result(
     options: PairOptions,
     threads: int | None,
 ) -> PairResult:
-    anchor = first.anchor() if _is_weak(a, b, options.dense) else None
+    anchor = first.anchor() if is_weak(a, b, options.dense) else None
     # What agrees with a consensus does so within this.
     within_mm = options.verdict.verify.agree_mm
     refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor, within_mm)

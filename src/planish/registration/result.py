@@ -14,6 +14,8 @@ from planish import storage
 from planish.errors import InputError
 from planish.geometry import Array, require_array, require_rigid
 from planish.options import Strict
+from planish.registration.network.joint import JointCovariances
+from planish.registration.network.summary import NetworkSummary
 
 SCHEMA = "planish.registration/1"
 
@@ -185,6 +187,9 @@ class Registration:
     pairs: tuple[PairResult, ...]
     options: dict[str, Any]
     versions: dict[str, str]
+    network: NetworkSummary = field(default_factory=NetworkSummary)
+    #: Covariance of any measurement relative to any other; in `network.h5`, not in the JSON.
+    joint: JointCovariances | None = None
 
     def pair(self, a: str, b: str) -> PairResult:
         """Return the result of a pair by the names of its measurements, in the order in which it was computed."""
@@ -203,6 +208,7 @@ class Registration:
             "groups": [asdict(group) for group in self.groups],
             "measurements": [_plain(asdict(item)) for item in self.measurements],
             "pairs": [_pair_to_json(pair) for pair in self.pairs],
+            "network": self.network.model_dump(mode="json"),
         }
 
     def save(self, path: Path) -> None:
@@ -327,6 +333,7 @@ class _RegistrationFile(Strict):
     groups: list[_GroupFile]
     measurements: list[_PlacedFile]
     pairs: list[_PairFile]
+    network: NetworkSummary = Field(default_factory=NetworkSummary)
 
     def to_registration(self, subject: str) -> Registration:
         return Registration(
@@ -335,6 +342,7 @@ class _RegistrationFile(Strict):
             tuple(_pair(p, f"{subject}: pair {p.a}, {p.b}") for p in self.pairs),
             self.options,
             self.versions,
+            self.network,
         )
 
     def _groups(self, subject: str) -> tuple[Group, ...]:

@@ -16,13 +16,15 @@ from planish.evaluation.prepared import Prepared
 from planish.evaluation.result import Evaluation
 from planish.measurement import Measurement
 from planish.options import thread_count
-from planish.registration.result import Registration
+from planish.registration.result import PairResult, Registration
 from planish.report import text
-from planish.report.figures import histogram_png, matches_png
+from planish.report.figures import matches_png
+from planish.report.histogram import histogram_png
 from planish.report.html import asset, details, figure, figure_name, html_page
+from planish.report.network import network_section
 from planish.report.overview import overview_png
-from planish.report.pairs import pairs_section
-from planish.report.scene import Scene, build_scene
+from planish.report.pairs import pairs_section, pictures_inside
+from planish.report.scene import Scene, draw, plan_scene, sample
 from planish.report.sections import (
     measurements_section,
     overlap_section,
@@ -60,43 +62,66 @@ def write_report(
         Number of threads.
     """
     prepared = {name: Prepared.of(item, threads) for name, item in measurements.items()}
-    scene = build_scene(registration, prepared, evaluations)
-    pictures = _pictures(registration, prepared, evaluations, scene, thread_count(threads))
-    for name, content in pictures.items():
-        save_bytes(Path(out) / "figures" / name, content)
+    plan = plan_scene(registration, {name: sample(item) for name, item in prepared.items()})
+    items = []
+    for index, placed in enumerate(registration.measurements):
+        name = placed.name
+        distances = {(e.a, e.b): e.distance_mm for e in evaluations if e.b == name}
+        distances |= {(e.a, e.b): e.distance_of_a_mm for e in evaluations if e.a == name}
+        items.append(draw(placed, index, plan, prepared[name], distances))
+    return write_scene(Scene(registration, plan, tuple(items)), out, truth, threads)
+
+
+def write_scene(
+    scene: Scene,
+    out: Path,
+    truth: Evaluation | None = None,
+    threads: int | None = None,
+    with_matches: Callable[[PairResult], PairResult] = lambda pair: pair,
+) -> Path:
+    """Write `report.html` and `figures/*.png` of what has been drawn.
+
+    `with_matches` returns a pair with the matches to be drawn; the rest is as in `write_report`.
+    """
+    shown = _write_pictures(scene, Path(out) / "figures", thread_count(threads), with_matches)
     path = Path(out) / "report.html"
-    save_bytes(path, _page(registration, prepared, scene, pictures, truth).encode("utf-8"))
+    save_bytes(path, _page(scene, shown, truth).encode("utf-8"))
     return path
 
 
-def _pictures(
-    registration: Registration,
-    prepared: Mapping[str, Prepared],
-    evaluations: Sequence[OverlapEvaluation],
-    scene: Scene,
-    threads: int,
+def _write_pictures(
+    scene: Scene, folder: Path, threads: int, with_matches: Callable[[PairResult], PairResult]
 ) -> dict[str, bytes]:
-    by_pair = {(e.a, e.b): e for e in evaluations}
-    index = {m.name: i for i, m in enumerate(registration.measurements)}
+    """Write all pictures and return those that the page shows."""
+    items = {item.name: item for item in scene.items}
     jobs: dict[str, Callable[[], bytes]] = {"overview.png": partial(overview_png, scene)}
-    for pair in registration.pairs:
-        if pair.status != "refused" or len(pair.consensus_px):
-            jobs[figure_name("matches", pair)] = partial(matches_png, pair, prepared[pair.a], prepared[pair.b])
-        if (pair.a, pair.b) in by_pair:
-            jobs[figure_name("histogram", pair)] = partial(histogram_png, by_pair[pair.a, pair.b], index[pair.b])
-    for item in prepared.values():
-        _ = item.contrast  # computed once here: two threads must not both do it
+
+    def matches(pair: PairResult) -> bytes:
+        return matches_png(with_matches(pair), items[pair.a], items[pair.b])
+
+    for pair in scene.registration.pairs:
+        # Of a refused pair only a consensus is worth a picture.
+        if pair.status != "refused" or pair.T_coarse_a_b is not None:
+            jobs[figure_name("matches", pair)] = partial(matches, pair)
+        if pair.a in items[pair.b].histograms:
+            histogram = items[pair.b].histograms[pair.a]
+            jobs[figure_name("histogram", pair)] = partial(histogram_png, histogram, items[pair.b].index)
+    inside = {"overview.png", *pictures_inside(scene.registration)}
+    shown: dict[str, bytes] = {}
+
+    def write(name: str) -> None:
+        content = jobs[name]()
+        save_bytes(folder / name, content)
+        if name in inside:
+            shown[name] = content
+
     with ThreadPoolExecutor(threads) as pool:
-        return dict(zip(jobs, pool.map(lambda job: job(), jobs.values()), strict=True))
+        list(pool.map(write, jobs))
+    return shown
 
 
-def _page(
-    registration: Registration,
-    prepared: Mapping[str, Prepared],
-    scene: Scene,
-    pictures: Mapping[str, bytes],
-    truth: Evaluation | None,
-) -> str:
+def _page(scene: Scene, pictures: Mapping[str, bytes], truth: Evaluation | None) -> str:
+    registration = scene.registration
     kind, sentences = text.verdict(registration)
     summary = "".join(f"<p>{escape(s)}</p>" for s in sentences)
     body = [
@@ -105,7 +130,7 @@ def _page(
         f'<div class="summary {kind}">{summary}</div>',
         '<h2>Overview</h2>',
         figure(pictures["overview.png"], "The largest group, seen orthographically.", 860),
-        measurements_section(registration, prepared),
+        measurements_section(scene),
         "<h2>3D view</h2>",
         view_section(registration),
         "<h2>Overlap error</h2>",
@@ -114,6 +139,7 @@ def _page(
         "<h2>Pairs</h2>",
         pairs_section(registration, pictures),
         refused_section(registration),
+        network_section(registration.network),
         "<h2>Options and versions</h2>",
         details("options of this run", registration.options),
         details("versions", registration.versions),

@@ -18,9 +18,14 @@ MAX_PAIRS_WITH_PICTURES = 12
 
 def pairs_section(registration: Registration, pictures: Mapping[str, bytes]) -> str:
     """Return the accepted and ambiguous pairs, each with its pictures as far as `pictures` holds them."""
-    shown = [p for p in registration.pairs if p.status != "refused"]
-    parts = [_pair(registration, pair, pictures if i < MAX_PAIRS_WITH_PICTURES else {}) for i, pair in enumerate(shown)]
+    parts = [_pair(registration, pair, pictures) for pair in registration.pairs if pair.status != "refused"]
     return "".join(parts) or "<p>No pair was accepted.</p>"
+
+
+def pictures_inside(registration: Registration) -> set[str]:
+    """Return the file names of the pictures that the page itself shows."""
+    shown = [p for p in registration.pairs if p.status != "refused"][:MAX_PAIRS_WITH_PICTURES]
+    return {figure_name(kind, pair) for pair in shown for kind in ("matches", "histogram")}
 
 
 def _pair(registration: Registration, pair: PairResult, pictures: Mapping[str, bytes]) -> str:

@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from html import escape
 
 from planish.evaluation import table
 from planish.evaluation.overlap import DEFINITION
-from planish.evaluation.prepared import Prepared
 from planish.evaluation.result import Evaluation
 from planish.registration.result import Registration
 from planish.report import text
 from planish.report.html import html_table, name_tag
+from planish.report.scene import Scene
 
 
-def measurements_section(registration: Registration, prepared: Mapping[str, Prepared]) -> str:
+def measurements_section(scene: Scene) -> str:
     """Return the table of the measurements."""
+    registration = scene.registration
     references = {g.id: g.reference for g in registration.groups}
     rows = []
-    for m in registration.measurements:
-        item = prepared[m.name].measurement
-        reference = references[m.group] == m.name
+    for m, item in zip(registration.measurements, scene.items, strict=True):
+        # Where a frame given from outside is the world, the reference is as uncertain as the others.
+        reference = references[m.group] == m.name and not m.covariance_noise.any()
         rows.append(
             (
                 name_tag(registration, m.name),
                 str(m.group),
-                f"{int(item.valid.sum()):,}",
-                f"{prepared[m.name].gsd_mm:.3f}",
+                f"{item.points:,}",
+                f"{item.gsd_mm:.3f}",
                 "reference" if reference else f"{text.position_sigma(m):.4f}",
                 "" if reference else f"{1000 * text.rotation_sigma(m):.4f}",
             )

@@ -9,12 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from planish.report.overview import view
 from planish.report.scene import Item, Scene
 from planish.report.style import DIVERGING, NEUTRAL, colour
 
-#: Most grid points per measurement: what a browser without graphics card still turns smoothly.
-MAX_POINTS = 25_000
 #: Colour index of points outside all overlaps. It lies in the middle, between the smallest negative and the smallest
 #: positive error, because the browser blends the indices of neighbouring points: a jump must not cross other colours.
 OUTSIDE = 128
@@ -23,7 +20,8 @@ NEGATIVE, POSITIVE = (0, 126), (130, 255)
 
 def view_data(scene: Scene) -> dict[str, Any]:
     """Return what `view.js` draws; arrays in plotly's base64 form, positions relative to the scene's centre."""
-    traces = [_trace(item, scene.limit_mm) for item in scene.items]
+    groups = {placed.name: placed.group for placed in scene.registration.measurements}
+    traces = [_trace(item, groups[item.name], scene.limit_mm) for item in scene.items]
     return {
         "traces": traces,
         "groups": list(scene.groups),
@@ -43,16 +41,8 @@ def _error_scale() -> list[tuple[float, str]]:
     return [*blue, ((OUTSIDE - 1) / 255, NEUTRAL), ((OUTSIDE + 1) / 255, NEUTRAL), *red]
 
 
-def grid_step(shape: tuple[int, int]) -> int:
-    """Return the smallest step that leaves at most MAX_POINTS grid points."""
-    step = 1
-    while (-(-shape[0] // step)) * (-(-shape[1] // step)) > MAX_POINTS:
-        step += 1
-    return step
-
-
-def _trace(item: Item, limit_mm: float) -> dict[str, Any]:
-    points, _, grey, error = item.thinned(grid_step(item.prepared.measurement.shape))
+def _trace(item: Item, group: int, limit_mm: float) -> dict[str, Any]:
+    points, grey, error = item.grid.points, item.grid.grey, item.grid.error_mm
     known = np.isfinite(points[..., 2])
     seen = grey[np.isfinite(grey)]
     low, high = np.quantile(seen, [0.01, 0.99]) if len(seen) else (0.0, 1.0)
@@ -69,10 +59,10 @@ def _trace(item: Item, limit_mm: float) -> dict[str, Any]:
     nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
     x, y = (np.nan_to_num(values[tuple(nearest)]) for values in (x, y))
     return {
-        "name": item.placed.name,
-        "group": item.placed.group,
+        "name": item.name,
+        "group": group,
         "colour": colour(item.index),
-        "points": int(item.prepared.measurement.valid.sum()),
+        "points": item.points,
         "x": _array(x.astype(np.float32)),
         "y": _array(y.astype(np.float32)),
         "z": _array(np.where(known, z, np.float32(np.nan)).astype(np.float32)),
@@ -92,5 +82,5 @@ def _array(values: NDArray[Any]) -> dict[str, str]:
 
 def _camera(scene: Scene) -> dict[str, list[float]]:
     """Viewing direction of the first view: that of the overview picture."""
-    T_view_world, _, _ = view(scene.group(scene.groups[0]))
+    T_view_world = scene.plan.T_view_world
     return {"eye": (-1.35 * T_view_world[2, :3]).tolist(), "up": (-T_view_world[1, :3]).tolist()}

@@ -4,24 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from planish.geometry import Array, adjoint, difference, invert, perturb, transform_points, translation
+from planish.geometry import Array
 from planish.options import Options
+from planish.registration.network.batch import adjoints, exponentials, moved_points, shifts
+from planish.registration.network.blocks import BlockCholesky, Indices, factor
+from planish.registration.network.contradictions import Contradiction, contradictions
+from planish.registration.network.joint import JointCovariance
+from planish.registration.network.relations import Linearised, Relation, Stack, pair_relation
 from planish.registration.result import PairResult
 
 
 class NetworkOptions(Options):
     """Options of the network adjustment."""
 
+    #: What does not move: the reference, or nothing (inner constraints: each measurement has its own uncertainty). A
+    #: frame given from outside comes before both.
+    datum: Literal["reference", "free"] = "reference"
     #: Gauss-Newton steps; pairs are good to far less than a degree, so that few are needed.
     max_steps: int = Field(default=20, ge=1)
     #: A pair in a loop that contradicts the others by more than this is a blunder [mm] ...
     blunder_mm: float = Field(default=0.5, gt=0)
     #: ... if it is also more than this many of its standard deviations.
     blunder_sigma: float = Field(default=6.0, gt=0)
+    #: Known points, a robot's transforms and surfaces state their noise: chance leaves one of them out this often.
+    false_alarm: float = Field(default=1e-3, gt=0, lt=1)
 
 
 @dataclass(frozen=True)
@@ -34,29 +45,24 @@ class Adjusted:
         Per name, (4, 4); world is the reference's frame.
     covariance : dict
         Per name, (6, 6), of xi about the own centroid in world; zero for the reference.
-    residual_mm : dict
-        Per pair (a, b): how far the pair puts its overlap's centre from where the other pairs put it [mm]; 0 where
-        nothing else ties the two together.
-    residual_sigma : dict
-        The same in standard deviations of noise and calibration (root of the quadratic form over the degrees of
-        freedom).
-    noise_sigma : dict
-        The same by noise alone, the weights of the adjustment: the pair to blame has the largest one.
+    contradictions : dict
+        Per key of a relation, against all others; see `Relation.key`.
     variance_factor : float
-        Sum of squared normalised residuals over the redundancy and what errors of the calibration add to it; 1 where
-        there is no loop.
+        Sum of squared normalised residuals of the pairs over their redundancy and what errors of the calibration add
+        to it; 1 where there is no loop.
     calibration : dict or None
         Per name, the motions xi (k, 6) by all modes of all rigs, about the own centroid in world: errors of the
         calibration are common to all measurements of a rig. None where a pair in use states none.
+    joint : JointCovariance
+        All of them together.
     """
 
     T_world_measurement: dict[str, Array]
     covariance: dict[str, Array]
-    residual_mm: dict[tuple[str, str], float]
-    residual_sigma: dict[tuple[str, str], float]
-    noise_sigma: dict[tuple[str, str], float]
+    contradictions: dict[tuple[str, str, str, str], Contradiction]
     variance_factor: float
     calibration: dict[str, Array] | None
+    joint: JointCovariance | None
 
 
 def adjust(
@@ -65,153 +71,190 @@ def adjust(
     pairs: Sequence[PairResult],
     centroids: Mapping[str, Array],
     options: NetworkOptions | None = None,
+    given: Sequence[Relation] = (),
 ) -> Adjusted:
     """Return the least-squares transforms of one group.
 
     Parameters
     ----------
     start : mapping
-        T_world_measurement (4, 4) per name.
+        T_world_measurement (4, 4) per name; frames given from outside stand among them.
     reference : str
         Its frame is the world; it does not move.
     pairs : sequence of PairResult
         Those with `used` count.
     centroids : mapping
-        Centroid (3,) of each measurement in its own frame [mm].
+        Centroid (3,) of each measurement in its own frame [mm]; that of other frames is their origin.
+    given : sequence of Relation
+        What is known beside the pairs.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        Where a measurement is held by nothing.
     """
     options = options or NetworkOptions()
-    T = dict(start)
-    free = sorted(name for name in T if name != reference)
-    column = {name: 6 * i for i, name in enumerate(free)}
-    edges = [p for p in pairs if p.used and p.a in T and p.b in T]
-    information: list[Array] = [np.asarray(np.linalg.inv(_required(p.covariance_noise)), np.float64) for p in edges]
-    N = np.zeros((6 * len(free), 6 * len(free)))
-    for _ in range(options.max_steps):
-        N[:] = 0
-        rhs = np.zeros(6 * len(free))
-        for pair, W in zip(edges, information, strict=True):
-            r, J = _residual(pair, T, centroids)
-            for name, Ji in J.items():
-                if name == reference:
-                    continue
-                i = column[name]
-                rhs[i : i + 6] += Ji.T @ W @ r
-                for other, Jj in J.items():
-                    if other != reference:
-                        N[i : i + 6, column[other] : column[other] + 6] += Ji.T @ W @ Jj
-        if not free:
+    relations = [pair_relation(p) for p in pairs if p.used and p.a in start and p.b in start]
+    relations += [item for item in given if item.a in start and item.b in start]
+    return adjust_relations(start, reference, relations, centroids, options)
+
+
+def adjust_relations(
+    start: Mapping[str, Array],
+    reference: str,
+    relations: Sequence[Relation],
+    centroids: Mapping[str, Array],
+    options: NetworkOptions,
+) -> Adjusted:
+    """Do what `adjust` does, from relations."""
+    names = sorted(start)
+    index = {name: i for i, name in enumerate(names)}
+    T = np.array([start[name] for name in names])
+    own = np.array([np.asarray(centroids.get(name, np.zeros(3)), float) for name in names])
+    stack = Stack(relations, index)
+    # The reference is no unknown: -1.
+    unknown = np.cumsum(np.arange(len(names)) != index[reference]) - 1
+    unknown[index[reference]] = -1
+    free = unknown >= 0
+    lin, cholesky = stack.linearise(T, moved_points(T, own)), None
+    for _ in range(options.max_steps if free.any() else 0):
+        cholesky, x = _step(stack, lin, unknown)
+        centres = moved_points(T, own)[free]
+        T[free] = shifts(centres) @ exponentials(x) @ shifts(-centres) @ T[free]
+        lin = stack.linearise(T, moved_points(T, own))
+        if np.abs(x).max() < _CONVERGED:
             break
-        x = _solve(N, rhs)
-        for name in free:
-            xi = x[column[name] : column[name] + 6]
-            T[name] = perturb(T[name], xi, transform_points(T[name], np.asarray(centroids[name], float)))
-        if np.abs(x).max() < 1e-9:
-            break
-    return _result(T, reference, free, column, edges, information, centroids, N)
+    return _result(names, index[reference], T, own, stack, lin, cholesky, unknown, options)
+
+
+#: Steps below this end the adjustment [rad, mm].
+_CONVERGED = 1e-9
+
+
+def _step(stack: Stack, lin: Linearised, unknown: Indices) -> tuple[BlockCholesky, Array]:
+    """Return the factor of the normal equations and the step (n, 6)."""
+    count = int(unknown.max()) + 1
+    a, b = unknown[stack.a], unknown[stack.b]
+    to_a, to_b = np.swapaxes(lin.by_a, 1, 2), np.swapaxes(lin.by_b, 1, 2)
+    at_a, at_b, both = a >= 0, b >= 0, (a >= 0) & (b >= 0)
+    i = np.concatenate([a[at_a], b[at_b], a[both]])
+    j = np.concatenate([a[at_a], b[at_b], b[both]])
+    blocks = np.concatenate([(to_a @ lin.by_a)[at_a], (to_b @ lin.by_b)[at_b], (to_a @ lin.by_b)[both]])
+    cholesky = factor(count, i, j, blocks)
+    return cholesky, cholesky.solve(_right_hand_side(lin, lin.r[:, :, None], a, b, count))[:, :, 0]
+
+
+def _right_hand_side(lin: Linearised, r: Array, a: Indices, b: Indices, count: int) -> Array:
+    """Return J' r (n, 6, m) of whitened r (E, 6, m)."""
+    rhs = np.zeros((count, 6, r.shape[2]))
+    np.add.at(rhs, a[a >= 0], (np.swapaxes(lin.by_a, 1, 2) @ r)[a >= 0])
+    np.add.at(rhs, b[b >= 0], (np.swapaxes(lin.by_b, 1, 2) @ r)[b >= 0])
+    return rhs
 
 
 def _result(
-    T: dict[str, Array],
-    reference: str,
-    free: Sequence[str],
-    column: Mapping[str, int],
-    edges: Sequence[PairResult],
-    information: Sequence[Array],
-    centroids: Mapping[str, Array],
-    N: Array,
+    names: Sequence[str],
+    reference: int,
+    T: Array,
+    own: Array,
+    stack: Stack,
+    lin: Linearised,
+    cholesky: BlockCholesky | None,
+    unknown: Indices,
+    options: NetworkOptions,
 ) -> Adjusted:
-    inverse = _solve(N, np.eye(len(N)))
-    residuals, rows = [], []
-    for pair in edges:
-        r, J = _residual(pair, T, centroids)
-        A = np.zeros((6, len(N)))
-        for name in J.keys() & column.keys():
-            A[:, column[name] : column[name] + 6] = J[name]
-        residuals.append(r)
-        rows.append(A)
-    shifts = _common_shifts(edges)
+    placed = dict(zip(names, T, strict=True))
+    if cholesky is None:
+        zero = {name: np.zeros((6, 6)) for name in names}
+        return Adjusted(placed, zero, {}, 1.0, None, None)
+    a, b, free = unknown[stack.a], unknown[stack.b], np.flatnonzero(unknown >= 0)
+    shift = common_shifts([item.shifts for item in stack.relations])
     # The network follows the pairs' errors by the gain of the least squares, one mode of a rig at a time.
-    pulls = (A.T @ W @ shift.T for A, W, shift in zip(rows, information, shifts, strict=True))
-    moved = inverse @ sum(pulls, np.zeros((len(N), 0 if not shifts else len(shifts[0]))))
-    residual_mm, residual_sigma, noise_sigma, total, by_calibration = {}, {}, {}, 0.0, 0.0
-    for pair, W, r, A, shift in zip(edges, information, residuals, rows, shifts, strict=True):
-        left = shift.T - A @ moved
-        total += float(r @ W @ r)
-        by_calibration += float(np.sum(left * (W @ left)))
-        gap, *sigmas = _contradiction(r, _required(pair.covariance_noise), A @ inverse @ A.T, left)
-        residual_mm[pair.a, pair.b] = float(np.linalg.norm(gap[3:]))
-        residual_sigma[pair.a, pair.b], noise_sigma[pair.a, pair.b] = sigmas
-    redundancy = 6 * (len(edges) - len(free))
-    # Errors of the rig that measurements do not share alike open loops too: they are expected.
-    factor = total / (redundancy + by_calibration) if redundancy > 0 else 1.0
+    moved = np.zeros((len(names), 6, shift.shape[2]))
+    moved[free] = cholesky.solve(_right_hand_side(lin, stack.root @ shift, a, b, len(free)))
+    left = stack.root @ shift - lin.by_a @ moved[stack.a] - lin.by_b @ moved[stack.b]
+    hat = _hat(cholesky, lin, a, b)
+    tests = contradictions(stack, lin, hat, left, stack.depth(reference))
+    variance = _variance_factor(stack, lin, hat, left)
     # Loops that close worse than the pairs' covariances promise speak for errors that those leave out.
-    inverse = inverse * max(1.0, factor)
-    covariance = {name: inverse[column[name] : column[name] + 6, column[name] : column[name] + 6] for name in free}
-    covariance[reference] = np.zeros((6, 6))
-    calibration = None
-    if edges and all(pair.calibration_shifts is not None for pair in edges):
-        calibration = {name: moved[column[name] : column[name] + 6].T for name in free}
-        calibration[reference] = np.zeros((moved.shape[1], 6))
-    return Adjusted(T, covariance, residual_mm, residual_sigma, noise_sigma, factor, calibration)
+    widening = max(1.0, variance)
+    covariance = np.zeros((len(names), 6, 6))
+    every = np.arange(len(free))
+    covariance[free] = cholesky.inverse_blocks(every, every) * widening
+    centres = moved_points(T, own)
+    stated = bool(stack.relations) and all(item.shifts is not None for item in stack.relations)
+    members = np.array([name.encode() for name in names])
+    joint = JointCovariance(
+        members, reference, T, centres, cholesky, widening, np.swapaxes(moved, 1, 2) if stated else None
+    )
+    # A frame given from outside is what covariances are asked for: no other datum takes its place.
+    if options.datum == "free" and not names[reference].startswith("<"):
+        covariance, moved = _free_network(covariance, moved, centres, joint, names, stack)
+    return Adjusted(
+        placed,
+        dict(zip(names, covariance, strict=True)),
+        {item.key: test for item, test in zip(stack.relations, tests, strict=True)},
+        variance,
+        dict(zip(names, np.swapaxes(moved, 1, 2), strict=True)) if stated else None,
+        joint,
+    )
 
 
-def _common_shifts(edges: Sequence[PairResult]) -> list[Array]:
-    """Return per pair its shifts (k, 6) by all modes of all rigs in the group; zero by rigs of other measurements."""
-    stated = [dict(pair.calibration_shifts or {}) for pair in edges]
-    modes = {key: len(xi) for shifts in stated for key, xi in shifts.items()}
-    return [
-        np.concatenate([np.zeros((0, 6)), *(shifts.get(key, np.zeros((modes[key], 6))) for key in sorted(modes))])
-        for shifts in stated
-    ]
+def _hat(cholesky: BlockCholesky, lin: Linearised, a: Indices, b: Indices) -> Array:
+    """Return the whitened covariance (E, 6, 6) of what the network says of each relation."""
+    hat = np.zeros((len(a), 6, 6))
+    part: Array
+    for i, j, left, right in ((a, a, lin.by_a, lin.by_a), (b, b, lin.by_b, lin.by_b), (a, b, lin.by_a, lin.by_b)):
+        at = np.flatnonzero((i >= 0) & (j >= 0))
+        part = left[at] @ cholesky.inverse_blocks(i[at], j[at]) @ np.swapaxes(right[at], 1, 2)
+        hat[at] += part if left is right else part + np.swapaxes(part, 1, 2)
+    return hat
 
 
-def _contradiction(r: Array, C: Array, C_adjusted: Array, calibration: Array) -> tuple[Array, float, float]:
-    """Difference xi of a pair from what all others say, its size in standard deviations, and that by noise alone.
+def _variance_factor(stack: Stack, lin: Linearised, hat: Array, left: Array) -> float:
+    pairs = np.array([item.kind == "pair" for item in stack.relations], bool)
+    controlled = float(np.sum(6 - np.trace(hat, axis1=1, axis2=2)[pairs]))
+    # Errors of the rig that measurements do not share alike open loops too: they are expected.
+    expected = controlled + float(np.sum(left[pairs] ** 2))
+    return float(np.sum(lin.r[pairs] ** 2)) / expected if controlled > _NO_REDUNDANCY * len(pairs) else 1.0
 
-    A certain pair pulls the network along, so that its residual r alone shows little of its error; the covariance of r,
-    C - C_adjusted, undoes that (data snooping, Baarda 1968). Directions that no other pair controls count nothing.
-    `calibration` (6, k) is what each mode of the rigs leaves in r: it adds to what r may be.
+
+#: Redundancy per pair below which only rounding is left of it.
+_NO_REDUNDANCY = 1e-6
+
+
+def _free_network(
+    covariance: Array, moved: Array, centres: Array, joint: JointCovariance, names: Sequence[str], stack: Stack
+) -> tuple[Array, Array]:
+    """Return covariances (n, 6, 6) and modes (n, 6, k) under inner constraints (S-transformation, Baarda 1973).
+
+    Among all ways to fix the frame it is the one with the least trace: no measurement is exempt from uncertainty.
     """
-    d = np.sqrt(np.diag(C))
-    values, vectors = np.linalg.eigh((C - C_adjusted) / np.outer(d, d))
-    controlled = values > _UNCONTROLLED
-    V = vectors[:, controlled]
-    z, modes = V.T @ (r / d), V.T @ (calibration / d[:, None])
-    gap = C @ (V @ (z / values[controlled]) / d)
-    spread = np.diag(values[controlled]) + modes @ modes.T
-    sigma, by_noise = z @ np.linalg.solve(spread, z), z @ (z / values[controlled])
-    return gap, float(np.sqrt(sigma / 6)), float(np.sqrt(by_noise / 6))
+    measured = np.array([not name.startswith("<") for name in names])
+    # Rotations count as the motion they make at the distance of the overlaps.
+    there = moved_points(joint.T_world_member[stack.a], stack.points)
+    arm = float(np.sqrt(np.mean(np.sum((there - centres[stack.a]) ** 2, 1)))) or 1.0
+    weights = measured[:, None, None] * np.array([arm**2] * 3 + [1.0] * 3)[:, None]
+    G = adjoints(shifts(-centres))  # a rigid motion of the world about its origin, seen at each centroid
+    weighted = weights * G
+    along = G @ np.linalg.inv(np.einsum("nij,nik->jk", G, weighted))
+    free = np.delete(np.arange(len(names)), joint.datum)
+    Y = np.zeros_like(G)
+    Y[free] = joint.factor.solve(weighted[free]) * joint.variance_factor
+    Z = np.einsum("nij,nik->jk", weighted, Y)
+    cross = along @ np.swapaxes(Y, 1, 2)
+    out = covariance - cross - np.swapaxes(cross, 1, 2) + along @ Z @ np.swapaxes(along, 1, 2)
+    return out, moved - along @ np.einsum("nij,nik->jk", weighted, moved)
 
 
-#: Share of a pair's variance left to its residual below which only rounding is left of it.
-_UNCONTROLLED = 1e-6
-
-
-def _residual(
-    pair: PairResult, T: Mapping[str, Array], centroids: Mapping[str, Array]
-) -> tuple[Array, dict[str, Array]]:
-    """Return xi from the network's T_a_b to the pair's, and the change of the network's part per measurement."""
-    T_a_world = invert(T[pair.a])
-    p = _required(pair.covariance_point_mm)
-    predicted = T_a_world @ T[pair.b]
-    r = difference(_required(pair.T_a_b), predicted, p)
-    J = {}
-    for name, sign in ((pair.b, 1.0), (pair.a, -1.0)):
-        centre = transform_points(T[name], np.asarray(centroids[name], float))
-        # A small motion of b about its centroid in world, seen in a about p; the same motion of a acts the other way.
-        J[name] = sign * adjoint(translation(-p) @ T_a_world @ translation(centre))
-    return r, J
-
-
-def _solve(N: Array, rhs: Array) -> Array:
-    if len(N) == 0:
-        return np.zeros_like(rhs)
-    # Rotations [rad] and translations [mm] differ by orders of magnitude: scale to a unit diagonal first.
-    d = 1 / np.sqrt(np.diag(N))
-    scaled = np.linalg.solve(N * np.outer(d, d), rhs * (d if rhs.ndim == 1 else d[:, None]))
-    return scaled * (d if rhs.ndim == 1 else d[:, None])
-
-
-def _required(value: Array | None) -> Array:
-    assert value is not None, "an accepted pair carries transform, covariance and point"
-    return value
+def common_shifts(stated: Sequence[Mapping[str, Array] | None]) -> Array:
+    """Return per relation its shifts (E, 6, k) by all modes of all rigs in the group; zero by rigs of others."""
+    modes = {key: len(xi) for shift in stated for key, xi in (shift or {}).items()}
+    at, count = {}, 0
+    for key in sorted(modes):
+        at[key], count = count, count + modes[key]
+    out = np.zeros((len(stated), 6, count))
+    for e, shift in enumerate(stated):
+        for key, xi in (shift or {}).items():
+            out[e, :, at[key] : at[key] + len(xi)] = xi.T
+    return out

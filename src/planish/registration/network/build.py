@@ -1,27 +1,36 @@
-"""From all pairs to a Registration: blunders out, groups, references, adjusted transforms."""
+"""From all pairs to a Registration: groups, references, blunders out, adjusted transforms, what the network found."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from planish.geometry import Array, transform_points
-from planish.registration.network.adjust import Adjusted, NetworkOptions, adjust
-from planish.registration.network.groups import choose_reference, find_groups, path_exists, start_transforms
+from planish.registration.network.adjust import Adjusted, NetworkOptions
+from planish.registration.network.anchor import Anchored, adjust_group
+from planish.registration.network.given import Given
+from planish.registration.network.groups import choose_reference, find_groups
+from planish.registration.network.joint import JointCovariances
+from planish.registration.network.relinearise import NormalEquations, at_the_network
+from planish.registration.network.summarise import advise, describe_group, merge
 from planish.registration.result import Group, PairResult, PlacedMeasurement, Registration
 
 
 @dataclass(frozen=True)
 class Node:
-    """A measurement as the network sees it: its name, file, hash and centroid (3,) in its own frame [mm]."""
+    """A measurement as the network sees it: its name, file, hash and centroid (3,) in its own frame [mm].
+
+    `points_sensor` (N, 3) are some of its points, spread evenly; needed only for a fixed surface.
+    """
 
     name: str
     file: str
     sha256: str
     centroid_sensor: Array
+    points_sensor: Array | None = None
 
 
 def build_network(
@@ -32,6 +41,8 @@ def build_network(
     reference: str | None = None,
     record: Mapping[str, Any] | None = None,
     versions: Mapping[str, str] | None = None,
+    given: Given | None = None,
+    normal_equations: NormalEquations | None = None,
 ) -> Registration:
     """Return the registration of all measurements.
 
@@ -45,57 +56,69 @@ def build_network(
         Reference of the group that holds it; default the most central measurement of each group.
     record, versions : mapping, optional
         Options and versions to be kept in the result.
+    given : Given, optional
+        Known points, a robot's transforms, a surface of the part.
+    normal_equations : callable, optional
+        Information and gradient of a pair at another transform; default the pair's own, which is quadratic.
     """
-    options = options or NetworkOptions()
-    centroids = {node.name: node.centroid_sensor for node in nodes}
+    options, given = options or NetworkOptions(), given or Given()
     # Sums must not depend on the order in which the pairs come.
     pairs = sorted(pairs, key=lambda pair: (pair.a, pair.b))
-    groups, placed = [], []
     by_name = {node.name: node for node in nodes}
-    for number, names in enumerate(find_groups(list(by_name), pairs)):
+    done: list[tuple[list[str], str, Anchored]] = []
+    waiting = find_groups(list(by_name), pairs)
+    while waiting:
+        names = waiting.pop(0)
         chosen = reference if reference in names else choose_reference(names, pairs)
         assert chosen is not None
-        adjusted, pairs = _adjust_without_blunders(names, chosen, pairs, centroids, options)
-        groups.append(Group(number, chosen))
+        members = set(names)
+        inside = [p for p in pairs if p.a in members and p.b in members]
+        outside = [p for p in pairs if p.a not in members or p.b not in members]
+        anchored = adjust_group([by_name[name] for name in names], chosen, inside, options, given)
+        pairs = sorted(outside + anchored.pairs, key=lambda pair: (pair.a, pair.b))
+        if anchored.adjusted is None:
+            # What tied its parts together was wrong.
+            waiting = find_groups(names, anchored.pairs) + waiting
+            continue
+        if normal_equations is not None:
+            seen = at_the_network(anchored.pairs, anchored.adjusted, normal_equations)
+            anchored = adjust_group([by_name[name] for name in names], chosen, seen, options, given).with_pairs_of(
+                anchored
+            )
+        done.append((names, chosen, anchored))
+    done.sort(key=lambda item: (-len(item[0]), item[0][0]))
+    return _registration(by_name, pairs, done, record, versions, options, given)
+
+
+def _registration(
+    by_name: Mapping[str, Node],
+    pairs: Sequence[PairResult],
+    done: Sequence[tuple[list[str], str, Anchored]],
+    record: Mapping[str, Any] | None,
+    versions: Mapping[str, str] | None,
+    options: NetworkOptions,
+    given: Given,
+) -> Registration:
+    groups, placed, joints, summaries = [], [], {}, []
+    centroids = {name: node.centroid_sensor for name, node in by_name.items()}
+    for number, (names, reference, anchored) in enumerate(done):
+        adjusted = anchored.adjusted
+        assert adjusted is not None
+        groups.append(Group(number, reference))
         placed += [_place(by_name[name], number, adjusted) for name in names]
+        if adjusted.joint is not None:
+            joints[str(number)] = adjusted.joint
+        summaries.append(describe_group(number, names, reference, anchored, centroids, options, given))
+    summary = merge(summaries, advise({name: i for i, item in enumerate(done) for name in item[0]}, pairs))
     return Registration(
         tuple(groups),
         tuple(sorted(placed, key=lambda m: m.name)),
         tuple(pairs),
         dict(record or {}),
         dict(versions or {}),
+        summary,
+        JointCovariances(joints),
     )
-
-
-def _adjust_without_blunders(
-    names: Sequence[str],
-    reference: str,
-    pairs: list[PairResult],
-    centroids: Mapping[str, Array],
-    options: NetworkOptions,
-) -> tuple[Adjusted, list[PairResult]]:
-    """Adjust one group; take out the worst pair of a loop that does not close, one at a time."""
-    while True:
-        adjusted = adjust(start_transforms(names, reference, pairs), reference, pairs, centroids, options)
-        # In a lone triangle all three contradict alike: the pair with the weakest evidence goes.
-        suspects = [
-            (round(adjusted.noise_sigma[p.a, p.b], 6), p.log10_false_alarms, i)
-            for i, p in enumerate(pairs)
-            if (p.a, p.b) in adjusted.residual_mm
-            and adjusted.residual_mm[p.a, p.b] > options.blunder_mm
-            and adjusted.residual_sigma[p.a, p.b] > options.blunder_sigma
-            and path_exists(p.a, p.b, pairs[:i] + pairs[i + 1 :])
-        ]
-        if not suspects:
-            return adjusted, pairs
-        _, _, worst = max(suspects)
-        pair = pairs[worst]
-        sigma = adjusted.residual_sigma[pair.a, pair.b]
-        reason = (
-            f"contradicts the other pairs by {adjusted.residual_mm[pair.a, pair.b]:.2f} mm ({sigma:.0f} sigma): "
-            "taken out of the network"
-        )
-        pairs[worst] = replace(pair, used=False, removed_reason=reason)
 
 
 def _place(node: Node, group: int, adjusted: Adjusted) -> PlacedMeasurement:

@@ -6,54 +6,76 @@ import heapq
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
 from planish.geometry import Array, invert
 from planish.registration.result import PairResult
 
-#: (T of the neighbour in this frame, cost of the edge) per neighbour name.
-_Edges = dict[str, dict[str, tuple[Array, float]]]
+#: (pair, cost of the edge) per neighbour name.
+_Edges = dict[str, dict[str, tuple[PairResult, float]]]
 
 
 def find_groups(names: Sequence[str], pairs: Sequence[PairResult]) -> list[list[str]]:
     """Return groups of connected names: largest first, then by name; names sorted within a group."""
     edges = _edges(names, pairs)
     left, groups = set(names), []
-    while left:
-        start = min(left)
-        reached = set(_distances(edges, start))
-        groups.append(sorted(reached))
-        left -= reached
+    for start in sorted(names):
+        if start not in left:
+            continue
+        left.discard(start)
+        group, queue = [start], [start]
+        while queue:
+            new = [name for name in edges[queue.pop()] if name in left]
+            left.difference_update(new)
+            group += new
+            queue += new
+        groups.append(sorted(group))
     return sorted(groups, key=lambda group: (-len(group), group[0]))
 
 
 def choose_reference(group: Sequence[str], pairs: Sequence[PairResult]) -> str:
     """Return the most central measurement: least sum of path uncertainties to all others, then by name."""
+    names = sorted(group)
+    index = {name: i for i, name in enumerate(names)}
+    edges = [
+        (index[a], index[b], cost) for a, others in _edges(names, pairs).items() for b, (_, cost) in others.items()
+    ]
+    if not edges:
+        return names[0]
+    i, j, costs = zip(*edges, strict=True)
+    distances = dijkstra(coo_array((costs, (i, j)), shape=(len(names),) * 2).tocsr(), directed=True)
+    return names[int(np.argmin(np.round(distances.sum(1), 9)))]
+
+
+def spanning_tree(group: Sequence[str], reference: str, pairs: Sequence[PairResult]) -> dict[str, PairResult | None]:
+    """Return per name the last pair on the most certain path from the reference, those nearer to it first."""
     edges = _edges(group, pairs)
-    return min(group, key=lambda name: (round(sum(_distances(edges, name).values()), 9), name))
+    tree: dict[str, PairResult | None] = {}
+    last: dict[str, PairResult | None] = {reference: None}
+    queue, best = [(0.0, reference)], {reference: 0.0}
+    while queue:
+        cost, name = heapq.heappop(queue)
+        if name in tree:
+            continue
+        tree[name] = last[name]
+        for other, (pair, edge) in edges[name].items():
+            if cost + edge < best.get(other, np.inf):
+                best[other], last[other] = cost + edge, pair
+                heapq.heappush(queue, (cost + edge, other))
+    return tree
 
 
 def start_transforms(group: Sequence[str], reference: str, pairs: Sequence[PairResult]) -> dict[str, Array]:
     """Return T_world_measurement (4, 4) per name along the most certain paths from the reference (world)."""
-    edges = _edges(group, pairs)
     transforms = {reference: np.eye(4)}
-    queue = [(0.0, reference, reference)]
-    best = {reference: 0.0}
-    while queue:
-        cost, name, _ = heapq.heappop(queue)
-        if cost > best[name]:
-            continue
-        for other, (T_name_other, edge) in edges[name].items():
-            if cost + edge < best.get(other, np.inf):
-                best[other] = cost + edge
-                transforms[other] = transforms[name] @ T_name_other
-                heapq.heappush(queue, (cost + edge, other, name))
+    for name, pair in spanning_tree(group, reference, pairs).items():
+        if pair is not None:
+            assert pair.T_a_b is not None
+            transforms[name] = (
+                transforms[pair.a] @ pair.T_a_b if pair.b == name else transforms[pair.b] @ invert(pair.T_a_b)
+            )
     return transforms
-
-
-def path_exists(a: str, b: str, pairs: Sequence[PairResult]) -> bool:
-    """Return whether used pairs connect two measurements."""
-    names = sorted({name for pair in pairs for name in (pair.a, pair.b)} | {a, b})
-    return b in _distances(_edges(names, pairs), a)
 
 
 def _edges(names: Sequence[str], pairs: Sequence[PairResult]) -> _Edges:
@@ -65,20 +87,5 @@ def _edges(names: Sequence[str], pairs: Sequence[PairResult]) -> _Edges:
             continue
         # Uncertainty of the position at the overlap plus a constant, so that short paths win among good pairs.
         cost = float(np.sqrt(np.trace(pair.covariance_noise[3:, 3:]))) + 0.01
-        edges[pair.a][pair.b] = (pair.T_a_b, cost)
-        edges[pair.b][pair.a] = (invert(pair.T_a_b), cost)
+        edges[pair.a][pair.b] = edges[pair.b][pair.a] = (pair, cost)
     return edges
-
-
-def _distances(edges: _Edges, start: str) -> dict[str, float]:
-    best = {start: 0.0}
-    queue = [(0.0, start)]
-    while queue:
-        cost, name = heapq.heappop(queue)
-        if cost > best[name]:
-            continue
-        for other, (_, edge) in edges[name].items():
-            if cost + edge < best.get(other, np.inf):
-                best[other] = cost + edge
-                heapq.heappush(queue, (cost + edge, other))
-    return best

@@ -11,12 +11,14 @@ one. No image is kept: the memory does not grow with the captures.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import hashlib
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from planish import _core
+from planish.errors import InputError
 from planish.measurement import Map, Measurement
 from planish.options import thread_count
 from planish.registration.texture.camera_contrast import camera_contrast
@@ -42,6 +44,11 @@ from planish.rig import Camera
 _INTRINSICS = 17
 
 
+#: Captures whose sums are made in one go, and then added to those of the next ones. The grouping decides about the
+#: last bits of the sums: fixed, so that it does not matter who makes them and when.
+CAPTURES_PER_SUM = 16
+
+
 def estimate_fixed_patterns(
     measurements: Sequence[Measurement], options: PhotometricOptions | None = None, threads: int | None = None
 ) -> dict[str, FixedPattern]:
@@ -49,22 +56,28 @@ def estimate_fixed_patterns(
 
     Measurements are of one sensor where their cameras have the same calibration. Their order does not matter.
     """
-    options, count = options or PhotometricOptions(), thread_count(threads)
-    sensors: dict[tuple[object, ...], list[Measurement]] = {}
+    sensors: dict[str, list[Measurement]] = {}
     for measurement in sorted(measurements, key=lambda m: m.name):
-        if np.isfinite(ground_sample_distance(measurement)):
-            sensors.setdefault(_sensor(measurement), []).append(measurement)
+        sensor = sensor_key(measurement)
+        if sensor is not None:
+            sensors.setdefault(sensor, []).append(measurement)
     found: dict[str, FixedPattern] = {}
     for taken in sensors.values():
         if len(taken) > 1:
-            pattern = _estimate(taken, options, count)
-            found |= {m.name: pattern for m in taken}
+            groups = (taken[i : i + CAPTURES_PER_SUM] for i in range(0, len(taken), CAPTURES_PER_SUM))
+            sums = add_sums(sum_captures(group, options, threads) for group in groups)
+            names = [m.name for m in taken]
+            found |= dict.fromkeys(names, sums.pattern(names))
     return found
 
 
-def _sensor(measurement: Measurement) -> tuple[object, ...]:
+def sensor_key(measurement: Measurement) -> str | None:
+    """Return the same text for all measurements by one sensor; None where nothing is known of its pattern."""
+    if not np.isfinite(ground_sample_distance(measurement)):
+        return None
     names = measurement.texture_views
-    return (measurement.organised_on, *((n, _image_geometry(measurement.rig.cameras[n])) for n in names))
+    text = repr((measurement.organised_on, *((n, _image_geometry(measurement.rig.cameras[n])) for n in names)))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _image_geometry(camera: Camera) -> tuple[object, ...]:
@@ -72,7 +85,7 @@ def _image_geometry(camera: Camera) -> tuple[object, ...]:
 
 
 @dataclass
-class _Sums:
+class BandSums:
     """Sums over captures of one band of a camera: per pixel (H, W), and per block (h, w) in `moments`."""
 
     weighted_sum: Map
@@ -80,54 +93,85 @@ class _Sums:
     moments: Moments
 
     @classmethod
-    def of(cls, shape: tuple[int, int]) -> _Sums:
+    def of(cls, shape: tuple[int, int]) -> BandSums:
+        """Return the sums over no captures of (H, W) pixels."""
         return cls(np.zeros(shape, np.float32), np.zeros(shape, np.float32), Moments())
 
     def add(self, value: Map, noise: Map, counted: Map, threads: int) -> None:
+        """Add a capture's band (H, W), its noise variances and whether it counts per block (h, w)."""
         weight = pattern_weights(value, threads) * counted
         _core.add_to_pattern(value, weight, BLOCK_PX, self.weighted_sum, self.weight, threads)
         self.moments.add(weight, *block_moments(value, threads), noise)
 
+    def merge(self, other: BandSums) -> None:
+        """Add the sums over other captures."""
+        self.weighted_sum = self.weighted_sum + other.weighted_sum
+        self.weight = self.weight + other.weight
+        self.moments.merge(other.moments)
+
 
 @dataclass
-class _Run:
+class PatternSums:
     """All sums of one sensor's captures: per camera those of the fine and the coarse band."""
 
-    cameras: dict[str, tuple[_Sums, _Sums]] = field(default_factory=dict)
+    organised_on: str
+    cameras: dict[str, tuple[BandSums, BandSums]] = field(default_factory=dict)
     still: StillTexture = field(default_factory=StillTexture)
 
-
-def _estimate(taken: Sequence[Measurement], options: PhotometricOptions, threads: int) -> FixedPattern:
-    run = _Run()
-    for measurement in taken:
-        _add(run, measurement, options, threads)
-    first = taken[0].organised_on
-    cameras = {}
-    for name, bands in run.cameras.items():
-        share = run.still.share(bands[0].moments.shape, own=name == first)
-        fine, coarse = (
-            BandPattern(
-                sums.weighted_sum,
-                sums.weight,
-                *pattern_variances(sums.moments, sums.weighted_sum, sums.weight, share, cells),
+    def pattern(self, members: Iterable[str]) -> FixedPattern:
+        """Return the pattern that these sums tell of; `members` are the names of their captures."""
+        cameras = {}
+        for name, bands in self.cameras.items():
+            share = self.still.share(bands[0].moments.shape, own=name == self.organised_on)
+            fine, coarse = (
+                BandPattern(
+                    sums.weighted_sum,
+                    sums.weight,
+                    *pattern_variances(sums.moments, sums.weighted_sum, sums.weight, share, cells),
+                )
+                for sums, cells in zip(bands, BAND_CELLS_PX, strict=True)
             )
-            for sums, cells in zip(bands, BAND_CELLS_PX, strict=True)
-        )
-        cameras[name] = CameraPattern((fine, coarse))
-    return FixedPattern(cameras, frozenset(m.name for m in taken))
+            cameras[name] = CameraPattern((fine, coarse))
+        return FixedPattern(cameras, frozenset(members))
 
 
-def _add(run: _Run, measurement: Measurement, options: PhotometricOptions, threads: int) -> None:
+def sum_captures(
+    taken: Iterable[Measurement], options: PhotometricOptions | None = None, threads: int | None = None
+) -> PatternSums:
+    """Return the sums over captures of one sensor, in their order; one of them at a time is looked at."""
+    options, count = options or PhotometricOptions(), thread_count(threads)
+    sums: PatternSums | None = None
+    for measurement in taken:
+        sums = sums or PatternSums(measurement.organised_on)
+        _add(sums, measurement, options, count)
+    if sums is None:
+        raise InputError("captures", "found none", "at least one")
+    return sums
+
+
+def add_sums(parts: Iterable[PatternSums]) -> PatternSums:
+    """Return the sums over all captures of several sums, added in their order; the first one is used up."""
+    remaining = iter(parts)
+    first = next(remaining)
+    for other in remaining:
+        for name, bands in other.cameras.items():
+            for own, more in zip(first.cameras[name], bands, strict=True):
+                own.merge(more)
+        first.still.merge(other.still)
+    return first
+
+
+def _add(sums: PatternSums, measurement: Measurement, options: PhotometricOptions, threads: int) -> None:
     lowpass = Lowpass.of(options.shading_mm / ground_sample_distance(measurement), threads)
     values: dict[str, Map] = {}
     for name in measurement.texture_views:
         seen = camera_contrast(measurement, name, lowpass, options.max_contrast)
         values[name], shape = seen.value, (seen.value.shape[0], seen.value.shape[1])
-        bands = run.cameras.setdefault(name, (_Sums.of(shape), _Sums.of(shape)))
+        bands = sums.cameras.setdefault(name, (BandSums.of(shape), BandSums.of(shape)))
         counted = counted_blocks(measurement, name)
         noise, _ = _core.block_sums(seen.variance, -np.inf, np.inf, EVERYWHERE, BLOCK_PX, threads)
-        for sums, part, share in zip(bands, split_bands(seen.value), BAND_NOISE, strict=True):
-            sums.add(part, noise * np.float32(share), counted, threads)
+        for band, part, share in zip(bands, split_bands(seen.value), BAND_NOISE, strict=True):
+            band.add(part, noise * np.float32(share), counted, threads)
         if name == measurement.organised_on:
             weight = pattern_weights(seen.value, threads) * counted
-    run.still.add(measurement, values, weight)
+    sums.still.add(measurement, values, weight)

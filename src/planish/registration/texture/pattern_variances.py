@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -42,6 +43,10 @@ class Moments:
             self.maps,
             {"w": w * count, "ww": w**2 * count, "wwcc": w**2 * squares, "wwn": w**2 * noise},
         )
+
+    def merge(self, other: Moments) -> None:
+        """Add the sums over other captures."""
+        _accumulate(self.maps, other.maps)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -96,6 +101,15 @@ class StillTexture:
             held = np.isfinite(at[..., 0])
             sums |= {"seen": held, "u": np.where(held, at[..., 0], 0), "v": np.where(held, at[..., 1], 0)}
         _accumulate(self.maps, sums)
+
+    def merge(self, other: StillTexture) -> None:
+        """Add the sums over other captures."""
+        if self.own is None or self.other is None or self.count is None:
+            self.own, self.other, self.count = other.own, other.other, other.count
+        elif other.own is not None and other.other is not None and other.count is not None:
+            self.own, self.other, self.count = self.own + other.own, self.other + other.other, self.count + other.count
+        self.captures += other.captures
+        _accumulate(self.maps, other.maps)
 
     def share(self, shape: tuple[int, int], own: bool) -> Array:
         """Return the share (h, w) of the texture's variance that stood still, for a camera of h x w blocks."""
@@ -196,7 +210,7 @@ def _spread_of_products(own: Map, other: Map) -> Array:
     return np.sqrt(_smooth(squares, _WIDE_BLOCKS / np.sqrt(2)) / (4 * np.pi * _WIDE_BLOCKS**2))
 
 
-def _accumulate(into: dict[str, Array], maps: dict[str, Array]) -> None:
+def _accumulate(into: dict[str, Array], maps: Mapping[str, NDArray[Any]]) -> None:
     for name, value in maps.items():
         into[name] = into[name] + value if name in into else value.astype(float)
 

@@ -1,0 +1,104 @@
+"""What a process has made lately and may need again: bounded by number and by memory, the oldest goes first."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, TypeVar
+
+import numpy as np
+
+Value = TypeVar("Value")
+
+#: Most objects that are kept.
+MAX_NUMBER = 64
+#: Memory that a worker's objects may take. With what a pair needs while it is computed, a worker stays at 1.5 GB.
+WORKER_BYTES = 2**30
+
+
+class Recent:
+    """Objects by key; `get` makes what is not there, once, whatever number of threads ask for it."""
+
+    def __init__(self, max_bytes: int, max_number: int = MAX_NUMBER) -> None:
+        self.max_bytes, self.max_number = max_bytes, max_number
+        self._items: OrderedDict[Hashable, Any] = OrderedDict()
+        self._making: dict[Hashable, threading.Lock] = {}
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
+        """Return the object of `key`, made by `make` where it is not there."""
+        with self._lock:
+            turn = self._making.setdefault(key, threading.Lock())
+        with turn:
+            with self._lock:
+                found = key in self._items
+                if found:
+                    self._items.move_to_end(key)
+                    value: Value = self._items[key]
+            if not found:
+                value = make()
+            with self._lock:
+                self._items[key] = value
+                self._making.pop(key, None)
+                self._drop()
+        return value
+
+    def peek(self, key: Hashable) -> Any:
+        """Return the object of `key`, or None."""
+        with self._lock:
+            return self._items.get(key)
+
+    def forget(self, key: Hashable) -> None:
+        """Drop an object: another one has taken it over."""
+        with self._lock:
+            self._items.pop(key, None)
+
+    def clear(self) -> None:
+        """Drop all objects."""
+        with self._lock:
+            self._items.clear()
+
+    def _drop(self) -> None:
+        # Objects grow: some of their parts are made on demand.
+        while len(self._items) > 1 and (
+            len(self._items) > self.max_number or size_bytes(list(self._items.values())) > self.max_bytes
+        ):
+            self._items.popitem(last=False)
+
+
+def size_bytes(value: Any) -> int:
+    """Return the memory of all arrays that objects, mappings and sequences hold; shared ones count once."""
+    seen: dict[int, int] = {}
+    _collect(value, seen)
+    return sum(seen.values())
+
+
+def _collect(value: Any, seen: dict[int, int]) -> None:
+    if isinstance(value, np.ndarray):
+        base = value
+        while isinstance(base.base, np.ndarray):
+            base = base.base
+        seen[id(base)] = base.nbytes
+    elif isinstance(value, Mapping):
+        for item in list(value.values()):
+            _collect(item, seen)
+    elif isinstance(value, tuple | list):
+        for item in value:
+            _collect(item, seen)
+    elif hasattr(value, "__dict__"):
+        # What properties have computed stands there, too.
+        _collect(vars(value), seen)
+
+
+def main_process_bytes() -> int:
+    """Return the memory that objects may take in the process that the user has started: a quarter of the machine's."""
+    try:
+        return max(WORKER_BYTES, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 4)
+    except (AttributeError, ValueError, OSError):
+        return WORKER_BYTES
+
+
+#: The objects of this process.
+RECENT = Recent(WORKER_BYTES)

@@ -1,0 +1,358 @@
+"""From measurement files to one frame: register_files() and add_files(), stage by stage, on any executor.
+
+No process holds all measurements: each stage reads what it needs. What stages have computed lies in `stages/` of the
+output folder, by what it depends on; whatever is there is not computed again, be it after an interrupt or for one
+measurement more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from planish.errors import InputError
+from planish.execution.executor import Executor, Threads
+from planish.execution.store import StageStore
+from planish.files.given import GivenFiles, read_given
+from planish.pipeline.frozen import Batch, Frozen, FrozenMeasurement
+from planish.pipeline.options import RegisterOptions
+from planish.pipeline.schedule import MAX_BLOCK, blocks
+from planish.pipeline.stages import (
+    PairStage,
+    PatternStage,
+    Source,
+    View,
+    find_keypoints,
+    look_at,
+    points_of,
+    register_pairs,
+    sum_pattern,
+)
+from planish.pipeline.versions import versions
+from planish.registration.candidates import candidate_pairs
+from planish.registration.keypoints.keypoints import Keypoints
+from planish.registration.network.build import Node, build_network
+from planish.registration.pair import Prepared, length_factor, median_gsd, texture_pitch
+from planish.registration.pair_costs import pair_costs
+from planish.registration.result import PairResult, Registration
+from planish.registration.texture.fixed_pattern import CAPTURES_PER_SUM
+
+Item = TypeVar("Item")
+
+#: Called with the name of a stage, what is done, what is to do, and how much of it was there already.
+FileProgress = Callable[[str, int, int, int], None]
+
+
+def register_files(
+    paths: Sequence[Path],
+    out: Path,
+    options: RegisterOptions | None = None,
+    *,
+    reference: str | None = None,
+    given: GivenFiles | None = None,
+    executor: Executor | None = None,
+    progress: FileProgress | None = None,
+) -> FileRun:
+    """Register measurement files by their texture and write `registration.json`; the same bytes by any executor.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Measurements with different names; their order does not matter.
+    out : Path
+        Folder for `registration.json`, and for `stages/`: what each stage has computed.
+    options : RegisterOptions, optional
+    reference : str, optional
+        Measurement whose frame becomes the world of its group; default the most central one.
+    given : GivenFiles, optional
+        Files of known points, a robot's transforms, a surface of the part: tested, then used.
+    executor : Executor, optional
+        Default: threads of this process.
+    progress : callable, optional
+        Called with stage, done, to do, reused.
+
+    Raises
+    ------
+    InputError
+        Where a file is unusable, there is none, a name stands twice, or `reference` is none of them.
+    """
+    if executor is None:
+        with Threads() as threads:
+            return register_files(
+                paths, out, options, reference=reference, given=given, executor=threads, progress=progress
+            )  # fmt: skip
+    say = progress or (lambda *_: None)
+    sources = _look(paths, executor, say)
+    if reference is not None and reference not in sources:
+        raise InputError("reference", f"found '{reference}'", f"one of {sorted(sources)}")
+    gsd = median_gsd(source.gsd_mm for source in sources.values())
+    start = Frozen(gsd, options or RegisterOptions(), reference, given or GivenFiles(), ())
+    return _Run(Path(out), start, executor, say).go(sources, [list(sources)])
+
+
+def add_files(
+    paths: Sequence[Path],
+    to: Path,
+    *,
+    reference: str | None = None,
+    given: GivenFiles | None = None,
+    executor: Executor | None = None,
+    progress: FileProgress | None = None,
+) -> FileRun:
+    """Add measurement files to the registration in the folder `to`: only their own stages and pairs are computed.
+
+    Resolution and options are those of the first run; the pattern of a sensor is summed up further, for what is new.
+    The network is adjusted anew. What was given beside the measurements holds on, unless `given` replaces it.
+
+    Raises
+    ------
+    InputError
+        Where `to` holds no registration of files, a measurement is in it already, or one of its files has moved or
+        changed.
+    """
+    if executor is None:
+        with Threads() as threads:
+            return add_files(paths, to, reference=reference, given=given, executor=threads, progress=progress)
+    say = progress or (lambda *_: None)
+    frozen = Frozen.load(Path(to) / STAGES)
+    old = {m.name: m for batch in frozen.batches for m in batch.measurements}
+    for item in old.values():
+        if not Path(item.path).is_file():
+            raise InputError(item.path, "no such file", f"the measurement '{item.name}' that was registered")
+    new = _look(paths, executor, say)
+    twice = sorted(set(new) & set(old))
+    if twice:
+        raise InputError(new[twice[0]].path, f"holds '{twice[0]}', which is registered in {to}", "a new measurement")
+    sources = {name: source for name, item in old.items() if (source := item.source()) is not None}
+    touched = [Path(item.path) for name, item in old.items() if name not in sources]
+    sources |= new | (_look(touched, executor, say) if touched else {})
+    for item in old.values():
+        if item.name not in sources or sources[item.name].sha256 != item.sha256:
+            raise InputError(item.path, f"has changed since '{item.name}' was registered", "the same content")
+    names = [*sources]
+    if reference is not None and reference not in names:
+        raise InputError("reference", f"found '{reference}'", f"one of {sorted(names)}")
+    batches = [[m.name for m in batch.measurements] for batch in frozen.batches]
+    start = replace(frozen, reference=reference or frozen.reference, given=frozen.given.replaced_by(given))
+    return _Run(Path(to), start, executor, say).go(sources, [*batches, list(new)])
+
+
+#: Folder of the stage files in the output folder.
+STAGES = "stages"
+
+
+@dataclass(frozen=True)
+class FileRun:
+    """A registration of files, with the way back to each measurement and pair.
+
+    Parameters
+    ----------
+    registration : Registration
+        Without the pixels of matches, which `with_pixels` reads.
+    views : dict of View
+        By the name of the measurement.
+    pairs : dict of PairStage
+        By the names (a, b).
+    reused : dict of (int, int)
+        Per stage how many results were there already, and how many there are.
+    """
+
+    registration: Registration
+    views: Mapping[str, View]
+    pairs: Mapping[tuple[str, str], PairStage]
+    reused: Mapping[str, tuple[int, int]]
+
+    def with_pixels(self, pair: PairResult) -> PairResult:
+        """Return a pair of the registration with the pixels of its matches, read now."""
+        seen = self.pairs[pair.a, pair.b].result()
+        return pair if seen is None else replace(pair, matches_px=seen.matches_px, consensus_px=seen.consensus_px)
+
+
+class KeypointFiles(Mapping[str, Keypoints]):
+    """Keypoints by the name of the measurement, each read when it is asked for."""
+
+    def __init__(self, views: Mapping[str, View]) -> None:
+        self._views = views
+
+    def __getitem__(self, name: str) -> Keypoints:
+        return self._views[name].keypoints(1)[0]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._views)
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+
+class PreparedViews(Mapping[str, Prepared]):
+    """What pairs need by the name of the measurement, each made when it is asked for."""
+
+    def __init__(self, views: Mapping[str, View], threads: int) -> None:
+        self._views, self._threads = views, threads
+
+    def __getitem__(self, name: str) -> Prepared:
+        return self._views[name].prepared(self._threads)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._views)
+
+    def __len__(self) -> int:
+        return len(self._views)
+
+
+@dataclass
+class _Run:
+    out: Path
+    frozen: Frozen
+    executor: Executor
+    say: FileProgress
+    reused: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    def go(self, sources: Mapping[str, Source], batches: Sequence[Sequence[str]]) -> FileRun:
+        """Run all stages, one line per stage; `batches` are the names that came together, those not yet tried last."""
+        # Before anything is computed: what is wrong in a file is said at once.
+        given = read_given(self.frozen.given, sorted(sources))
+        store = StageStore(self.out / STAGES)
+        store.remove_unfinished()
+        # Lengths that the user did not set follow the resolution of the data.
+        options = self.frozen.options.scaled(length_factor(self.frozen.gsd_mm))
+        patterns = self._patterns(store, sources, batches, options)
+        pitch = texture_pitch(self.frozen.gsd_mm)
+        views = {name: View.of(store, sources[name], pitch, options, patterns.get(name)) for name in sorted(sources)}
+        self._count("texture", find_keypoints, list(views.values()))
+        tried = self._tried(views, batches)
+        pairs = self._pairs(views, tried, options)
+        results = self._register(pairs)
+        nodes = self._nodes([sources[name] for name in views], given.surface is not None)
+        costs = pair_costs(PreparedViews(views, self.executor.slots), options, self.executor.slots)
+        registration = build_network(
+            nodes, results, options.network, reference=self.frozen.reference, record=options.model_dump(mode="json"),
+            versions=versions(), given=given, normal_equations=costs,
+        )  # fmt: skip
+        registration.save(self.out / "registration.json")
+        if registration.joint is not None:
+            registration.joint.save(self.out / "network.h5")
+        entries = [[FrozenMeasurement.of(sources[name]) for name in batch] for batch in batches]
+        record = tuple(Batch(measurements=tuple(e), pairs=tuple(p)) for e, p in zip(entries, tried, strict=True))
+        replace(self.frozen, batches=record).save(store.folder)
+        return FileRun(registration, views, pairs, self.reused)
+
+    def _patterns(
+        self,
+        store: StageStore,
+        sources: Mapping[str, Source],
+        batches: Sequence[Sequence[str]],
+        options: RegisterOptions,
+    ) -> dict[str, PatternStage]:
+        """Return by name the pattern of its sensor, by all batches up to its own; its sums are made now."""
+        sums: dict[str, PatternStage] = {}
+        captures: dict[str, int] = {}
+        found: dict[str, PatternStage] = {}
+        for batch in batches:
+            taken: dict[str, list[Source]] = {}
+            for name in sorted(batch):
+                sensor = sources[name].sensor
+                if sensor is not None:
+                    taken.setdefault(sensor, []).append(sources[name])
+            for sensor, items in taken.items():
+                if captures.get(sensor, 0) >= CAPTURES_PER_SUM:
+                    # It is well known, and tells what it is without the new captures' own texture.
+                    found |= {item.name: sums[sensor] for item in items}
+                    continue
+                groups = [tuple(items[i : i + CAPTURES_PER_SUM]) for i in range(0, len(items), CAPTURES_PER_SUM)]
+                parts = [PatternStage(store, options, group) for group in groups]
+                self._count("pattern", sum_pattern, parts)
+                parts = [sums[sensor], *parts] if sensor in sums else parts
+                whole = parts[0] if len(parts) == 1 else PatternStage(store, options, parts=tuple(parts))
+                if len(parts) > 1:
+                    self._count("pattern", sum_pattern, [whole])
+                captures[sensor] = captures.get(sensor, 0) + len(items)
+                sums[sensor] = whole
+                if captures[sensor] > 1:
+                    found |= {item.name: whole for item in items}
+        return found
+
+    def _nodes(self, sources: Sequence[Source], with_points: bool) -> list[Node]:
+        """Return what the network knows of measurements, with some of their points where a surface is given."""
+        points = dict(self.executor.map(points_of, sources)) if with_points else {}
+        return [Node(s.name, s.path.name, s.sha256, s.centroid_sensor, points.get(i)) for i, s in enumerate(sources)]
+
+    def _tried(self, views: Mapping[str, View], batches: Sequence[Sequence[str]]) -> list[list[tuple[str, str]]]:
+        """Return the pairs to try, per batch; those of batches that are registered are known."""
+        tried = [list(batch.pairs) for batch in self.frozen.batches]
+        new = None if not tried else set(batches[-1])
+        return [*tried, candidate_pairs(KeypointFiles(views), new)]
+
+    def _pairs(
+        self, views: Mapping[str, View], tried: Sequence[Sequence[tuple[str, str]]], options: RegisterOptions
+    ) -> dict[tuple[str, str], PairStage]:
+        """Return all pairs; a batch's chance of false alarms counts the pairs of the run as it was then."""
+        pairs: dict[tuple[str, str], PairStage] = {}
+        for number, batch in enumerate(tried):
+            in_run = sum(len(part) for part in tried[: number + 1])
+            pairs |= {(a, b): PairStage.of(views[a], views[b], options, in_run) for a, b in batch}
+        return pairs
+
+    def _register(self, pairs: Mapping[tuple[str, str], PairStage]) -> list[PairResult]:
+        """Register the pairs that are not registered, and return all, without their pixels."""
+        results = {names: result for names, pair in pairs.items() if (result := _without_pixels(pair)) is not None}
+        there, total = len(results), len(pairs)
+        self.say("pairs", there, total, there)
+        self.reused["pairs"] = (there, total)
+        most = 1 if self.executor.shares_memory else MAX_BLOCK
+        groups = blocks([names for names in pairs if names not in results], self.executor.slots, most)
+        done = there
+        for _, count in self.executor.map(register_pairs, [tuple(pairs[names] for names in g) for g in groups]):
+            done += count
+            self.say("pairs", done, total, there)
+        for names, pair in pairs.items():
+            if names not in results:
+                result = _without_pixels(pair)
+                if result is None:
+                    path = pair.store.folder
+                    raise InputError(path, f"the result of {names} is not here", "a folder that all workers share")
+                results[names] = result
+        return [results[names] for names in sorted(results)]
+
+    def _count(self, stage: str, function: Callable[[Item, int], bool], items: Sequence[Item]) -> None:
+        """Run a stage whose function says whether the result was there."""
+        reused, before = self.reused.get(stage, (0, 0))
+        total = before + len(items)
+        self.say(stage, before, total, reused)
+        for done, (_, was_there) in enumerate(self.executor.map(function, items), before + 1):
+            reused += was_there
+            self.say(stage, done, total, reused)
+        self.reused[stage] = (reused, total)
+
+
+def _look(paths: Sequence[Path], executor: Executor, say: FileProgress) -> dict[str, Source]:
+    """Return what the files hold, by name, sorted."""
+    if not paths:
+        raise InputError("measurements", "found none", "at least one measurement")
+    found: dict[int, Source] = {}
+    say("reading", 0, len(paths), 0)
+    for index, source in executor.map(look_at, [Path(p).resolve() for p in paths]):
+        found[index] = source
+        say("reading", len(found), len(paths), 0)
+    sources: dict[str, Source] = {}
+    for source in (found[index] for index in range(len(paths))):
+        if source.name in sources:
+            first = sources[source.name].path
+            raise InputError(
+                source.path, f"holds the measurement '{source.name}' that {first} holds too", "different names"
+            )
+        sources[source.name] = source
+    return dict(sorted(sources.items()))
+
+
+def _without_pixels(pair: PairStage) -> PairResult | None:
+    """Return the result of a pair as the network needs it: the pixels of all pairs of a large run are too many."""
+    result = pair.result()
+    return None if result is None else replace(result, matches_px=_NO_PIXELS, consensus_px=_NO_PIXELS)
+
+
+_NO_PIXELS = np.empty((0, 4))

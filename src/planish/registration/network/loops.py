@@ -1,0 +1,149 @@
+"""Loops of pairs and how well they close; chains of pairs and how far they drift."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from planish.geometry import Array, adjoint, difference, invert, transform_points, translation
+from planish.registration.network.adjust import common_shifts
+from planish.registration.network.summary import Loop
+from planish.registration.result import PairResult
+
+
+@dataclass(frozen=True)
+class Step:
+    """One pair on a walk; `forward` where it is walked from a to b."""
+
+    pair: PairResult
+    forward: bool
+
+    @property
+    def T_here_there(self) -> Array:
+        """The transform from where the step ends to where it begins."""
+        assert self.pair.T_a_b is not None
+        return self.pair.T_a_b if self.forward else invert(self.pair.T_a_b)
+
+
+Graph = dict[str, dict[str, PairResult]]
+
+
+def graph_of(pairs: Sequence[PairResult], names: Sequence[str]) -> Graph:
+    """Return the pairs in use by both their names, neighbours in the order of their names."""
+    graph: Graph = {name: {} for name in sorted(names)}
+    for pair in pairs:
+        if pair.used and pair.a in graph and pair.b in graph:
+            graph[pair.a][pair.b] = graph[pair.b][pair.a] = pair
+    return {name: dict(sorted(others.items())) for name, others in graph.items()}
+
+
+def shortest_walk(graph: Graph, start: str, end: str, without: PairResult | None = None) -> list[Step] | None:
+    """Return the walk of the fewest pairs from start to end (ties: the first names), or None."""
+    came: dict[str, str] = {start: start}
+    queue = deque([start])
+    while queue and end not in came:
+        here = queue.popleft()
+        for other, pair in graph[here].items():
+            if other not in came and pair is not without:
+                came[other] = here
+                queue.append(other)
+    if end not in came:
+        return None
+    walk: list[Step] = []
+    while end != start:
+        pair = graph[came[end]][end]
+        walk.append(Step(pair, pair.b == end))
+        end = came[end]
+    return walk[::-1]
+
+
+def side_of(graph: Graph, start: str, beyond: str) -> list[str]:
+    """Return what is reached from `start` without the pair to `beyond`."""
+    reached, queue = {start}, [start]
+    while queue:
+        here = queue.pop()
+        new = [n for n in graph[here] if n not in reached and (here, n) != (start, beyond)]
+        reached.update(new)
+        queue += new
+    return sorted(reached)
+
+
+def fundamental_loops(graph: Graph, tree: Sequence[tuple[str, str]]) -> list[list[Step]]:
+    """Return, for each pair beside the tree, the shortest loop through it; a loop that several share once.
+
+    The pair that closes the loop comes last and is walked from b to a.
+    """
+    kept = {frozenset(edge) for edge in tree}
+    loops, seen = [], set()
+    pairs = {(pair.a, pair.b): pair for others in graph.values() for pair in others.values()}
+    for key in sorted(pairs):
+        if frozenset(key) in kept:
+            continue
+        walk = shortest_walk(graph, key[0], key[1], pairs[key])
+        members = frozenset((step.pair.a, step.pair.b) for step in walk or ()) | {key}
+        if walk is not None and members not in seen:
+            seen.add(members)
+            loops.append([*walk, Step(pairs[key], False)])
+    return loops
+
+
+def walk_error(walk: Sequence[Step], point: Array) -> tuple[Array, Array, Array]:
+    """Return the transform T_start_end of a walk, and covariance (6, 6) and modes (6, k) of its error about `point`.
+
+    `point` (3,) is given in the frame where the walk starts [mm]; each pair's error is carried there by the adjoint.
+    """
+    shifts = common_shifts([step.pair.calibration_shifts for step in walk])
+    T, covariance, modes = np.eye(4), np.zeros((6, 6)), np.zeros((6, shifts.shape[2]))
+    for step, shift in zip(walk, shifts, strict=True):
+        after = T @ step.T_here_there
+        T_start_a = T if step.forward else after
+        p, C = step.pair.covariance_point_mm, step.pair.covariance_noise
+        assert p is not None
+        assert C is not None
+        carry = adjoint(translation(-point) @ T_start_a @ translation(p))
+        covariance += carry @ C @ carry.T
+        modes += (1.0 if step.forward else -1.0) * carry @ shift
+        T = after
+    return T, covariance, modes
+
+
+def close(loop: Sequence[Step], residuals: Mapping[tuple[str, str], float]) -> Loop:
+    """Return how well a loop closes; `residuals` [mm] is what the adjustment leaves in each pair."""
+    closing = loop[-1].pair
+    assert closing.covariance_point_mm is not None
+    T, covariance, modes = walk_error(loop, closing.covariance_point_mm)
+    xi = difference(T, np.eye(4), closing.covariance_point_mm)
+    total = covariance + modes @ modes.T
+    names = [step.pair.a if step.forward else step.pair.b for step in loop]
+    return Loop(
+        measurements=tuple(names),
+        closure_mm=float(np.linalg.norm(xi[3:])),
+        closure_rad=float(np.linalg.norm(xi[:3])),
+        predicted_mm=float(np.sqrt(np.trace(total[3:, 3:]))),
+        sigma=float(np.sqrt(xi @ np.linalg.solve(total, xi) / 6)),
+        adjusted_mm=max(residuals[step.pair.a, step.pair.b] for step in loop),
+    )
+
+
+def residual_mm(pair: PairResult, T_world: Mapping[str, Array]) -> float:
+    """Return how far a pair puts its overlap from where the adjusted transforms put it [mm]."""
+    assert pair.T_a_b is not None
+    assert pair.covariance_point_mm is not None
+    predicted = invert(T_world[pair.a]) @ T_world[pair.b]
+    return float(np.linalg.norm(difference(pair.T_a_b, predicted, pair.covariance_point_mm)[3:]))
+
+
+def chain_drift(
+    walk: Sequence[Step], name: str, reference: str, T_world: Mapping[str, Array], centroid: Array
+) -> tuple[float, float]:
+    """Return how far a chain from the reference puts a centroid from its adjusted place, and its sigma [mm]."""
+    adjusted = invert(T_world[reference]) @ T_world[name]
+    point = np.asarray(transform_points(adjusted, np.asarray(centroid, float)))
+    if not walk:
+        return 0.0, 0.0
+    T, covariance, modes = walk_error(walk, point)
+    total = covariance + modes @ modes.T
+    return float(np.linalg.norm(difference(T, adjusted, point)[3:])), float(np.sqrt(np.trace(total[3:, 3:])))

@@ -1,0 +1,192 @@
+"""Executors, the store of stage results, and what a process keeps."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, replace
+from itertools import combinations, pairwise
+
+import h5py
+import numpy as np
+import pytest
+
+import tasks
+from planish.errors import InputError
+from planish.execution.cluster import DaskCluster, call_if_same_code
+from planish.execution.executor import Threads
+from planish.execution.pool import WorkerLostError, WorkerPool
+from planish.execution.recent import Recent, size_bytes
+from planish.execution.store import StageStore, code_version, content_key
+from planish.geometry import Array
+from planish.pipeline.schedule import blocks
+
+
+@pytest.fixture(scope="module")
+def pool():
+    with WorkerPool(2, 2) as workers:
+        yield workers
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_threads_do_every_item_once(threads):
+    with Threads(threads) as executor:
+        assert sorted(executor.map(tasks.square, range(7))) == [(i, i * i) for i in range(7)]
+
+
+def test_worker_processes_do_every_item_once(pool):
+    assert sorted(pool.map(tasks.square, range(20))) == [(i, i * i) for i in range(20)]
+    assert len(pool.pids) == 2
+
+
+def test_an_error_in_a_worker_is_raised_as_it_is_and_the_pool_goes_on(pool):
+    with pytest.raises(InputError, match=r"item: found \d; expected another one"):
+        list(pool.map(tasks.refuse, range(9)))
+    assert sorted(pool.map(tasks.square, range(4))) == [(i, i * i) for i in range(4)]
+
+
+def test_what_a_function_prints_does_not_disturb_the_answers(pool):
+    assert list(pool.map(tasks.print_much, ["value"])) == [(0, "value")]
+
+
+def test_what_a_killed_worker_was_at_is_done_by_another_one(pool, tmp_path):
+    items = [(str(tmp_path / str(i)), i) for i in range(2)]
+    (tmp_path / "1").touch()
+    assert sorted(pool.map(tasks.die_first, items)) == [(0, 0), (1, 1)]
+    assert (tmp_path / "0").exists()
+
+
+def test_an_item_that_kills_every_worker_is_given_up(pool, monkeypatch):
+    monkeypatch.setattr("planish.execution.pool.MAX_ATTEMPTS", 2)
+    with pytest.raises(WorkerLostError, match="exit code -9"):
+        list(pool.map(tasks.die_always, [0]))
+
+
+def test_bad_numbers_of_workers_and_missing_clusters_are_refused(monkeypatch):
+    with pytest.raises(InputError, match="workers: found 0"):
+        WorkerPool(0)
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with pytest.raises(InputError, match=r"pip install 'planish\[cluster\]'"):
+        DaskCluster("tcp://127.0.0.1:1")
+
+
+def test_a_worker_of_a_cluster_with_another_planish_refuses():
+    assert call_if_same_code(tasks.square, 3, code_version()) == 9
+    with pytest.raises(InputError, match="a worker runs another planish"):
+        call_if_same_code(tasks.square, 3, "0" * 64)
+
+
+@dataclass(frozen=True)
+class Result:
+    values: Array
+    name: str
+
+
+RESULT = Result(np.arange(1000.0), "a")
+
+
+@pytest.fixture
+def store(tmp_path):
+    made = StageStore(tmp_path)
+    made.write("stage", content_key("stage", 1), RESULT)
+    return made
+
+
+def stored(store):
+    return store.read("stage", content_key("stage", 1), Result)
+
+
+def test_a_stored_result_comes_back_and_is_not_made_again(store):
+    found, was_there = store.read_or_make("stage", content_key("stage", 1), Result, lambda: pytest.fail("made again"))
+    assert was_there
+    assert found.name == "a"
+    assert np.array_equal(found.values, RESULT.values)
+    # Any program for HDF5 reads it.
+    with h5py.File(store.path("stage", content_key("stage", 1))) as file:
+        assert file["values"].shape == (1000,)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "empty", "grown"])
+def test_a_damaged_file_is_not_trusted(store, damage):
+    path = store.path("stage", content_key("stage", 1))
+    content = path.read_bytes()
+    middle = len(content) // 2
+    flipped = content[:middle] + bytes([content[middle] ^ 1]) + content[middle + 1 :]
+    path.write_bytes({"cut": content[:-1], "flipped": flipped, "empty": b"", "grown": content + b"\0"}[damage])
+    assert stored(store) is None
+    found, was_there = store.read_or_make("stage", content_key("stage", 1), Result, lambda: RESULT)
+    assert not was_there
+    assert found.name == "a"
+    assert path.read_bytes()[:512] == content[:512]
+
+
+def test_a_file_under_the_name_of_another_result_is_not_trusted(store):
+    other = content_key("stage", 2)
+    store.path("stage", content_key("stage", 1)).rename(store.path("stage", other))
+    assert store.read("stage", other, Result) is None
+
+
+def test_keys_differ_by_stage_and_by_every_input():
+    keys = {content_key("a", 1.0, "x"), content_key("b", 1.0, "x"), content_key("a", 1.0 + 1e-15, "x"),
+            content_key("a", 1.0, "y"), content_key("a", 1.0, "x", None)}  # fmt: skip
+    assert len(keys) == 5
+
+
+def test_what_a_killed_process_was_writing_is_removed(store):
+    (store.folder / "stage" / ".x.h5.123.part").touch()
+    store.remove_unfinished()
+    assert [path.name for path in (store.folder / "stage").iterdir()] == [
+        store.path("stage", content_key("stage", 1)).name
+    ]
+
+
+def test_the_oldest_objects_go_when_memory_or_number_is_reached():
+    recent = Recent(max_bytes=3 * 8000, max_number=10)
+    for key in "abcd":
+        recent.get(key, lambda: np.zeros(1000))
+    assert [recent.peek(key) is not None for key in "abcd"] == [False, True, True, True]
+    recent.max_number = 2
+    recent.get("b", lambda: pytest.fail("made again"))
+    assert [recent.peek(key) is not None for key in "abcd"] == [False, True, False, True]
+
+
+def test_an_object_is_made_once_whatever_number_of_threads_ask():
+    recent, made, start = Recent(10**6), [], threading.Barrier(4)
+
+    def ask():
+        start.wait()
+        recent.get("key", lambda: made.append(1) or made)
+
+    threads = [threading.Thread(target=ask) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert made == [1]
+
+
+def test_shared_arrays_count_once():
+    result = replace(RESULT, values=np.zeros(100))
+    assert size_bytes([result, {"x": result.values[10:]}, (result.values,)]) == 800
+
+
+def loads(order, kept):
+    """How often a measurement is prepared where the last `kept` ones are kept."""
+    recent, count = [], 0
+    for pair in order:
+        for name in pair:
+            count += name not in recent
+            recent = [*(n for n in recent if n != name), name]
+        recent = recent[-kept:]
+    return count
+
+
+def test_every_pair_is_in_one_block_and_neighbours_share_measurements():
+    names = [f"m{i:02d}" for i in range(20)]
+    every = list(combinations(names, 2))
+    found = [pair for block in blocks(every, 2) for pair in block]
+    assert sorted(found) == every
+    # Two pairs per measurement made: half of what one row after the other needs.
+    assert loads(found, 3) < 0.6 * len(every)
+    chain = list(pairwise(names))
+    assert loads([pair for block in blocks(chain, 1) for pair in block], 3) == len(names)
+    assert blocks([], 2) == []
