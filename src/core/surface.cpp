@@ -174,7 +174,8 @@ namespace {
 float slope(const float* at, std::ptrdiff_t step, int before, int after) {
     const float near = at[step] - at[-step];
     if (before >= 3 && after >= 3) {
-        const float wide = 0.75F * near - 0.15F * (at[2 * step] - at[-2 * step]) + (at[3 * step] - at[-3 * step]) / 60.0F;
+        const float wide =
+            0.75F * near - 0.15F * (at[2 * step] - at[-2 * step]) + (at[3 * step] - at[-3 * step]) / 60.0F;
         if (wide == wide) return wide;
     }
     return 0.5F * near;
