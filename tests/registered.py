@@ -71,7 +71,7 @@ def registration(seed=0):
             ends = items[b].measurement.camera.project(transform_points(invert(T_hat), points))
             consensus = np.hstack([rows[:, ::-1], ends])
             matches = np.vstack([consensus, consensus[::4] + [3, 0, 20, -9]])
-            directions = tuple(Direction(tuple(row), 90.0, 0.004, 0.7, True) for row in np.eye(6))
+            directions = tuple(Direction(tuple(row), 90.0, 0.004, 0.7, True, "a shift") for row in np.eye(6))
             pairs.append(
                 PairResult(
                     a, b, "accepted", "consensus far above chance", T_hat, COVARIANCE, None, point, len(matches),

@@ -70,8 +70,8 @@ def test_registration_json_holds_exactly_the_keys_of_its_contract(job):
     }  # fmt: skip
     assert set(content["pairs"][0]) == {
         "a", "b", "status", "reason", "used", "removed_reason", "T_a_b", "covariance_noise", "covariance_calibration",
-        "covariance_point_mm", "matches", "consensus", "log10_false_alarms", "windows", "windows_agreeing",
-        "runner_up", "motions", "observability", "overlap",
+        "covariance_point_mm", "covariance_factor", "matches", "consensus", "log10_false_alarms", "windows",
+        "windows_agreeing", "runner_up", "motions", "observability", "overlap",
         "overlap_error",
     }  # fmt: skip
     assert set(content["pairs"][0]["overlap_error"]) == {

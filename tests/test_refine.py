@@ -300,13 +300,16 @@ def test_distances_pull_nowhere_along_a_noisy_plane():
 
 def test_the_curvature_of_weak_texture_is_that_of_its_gradient():
     """Grain at half of its noise: steps by J'J would fall short, the expected curvature predicts the gradient."""
-    a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0, 0.02), seed, 4.0), sheets.PITCH_MM).sides[1] for seed in (1, 2))
+    # Two views, so that the pixels of one lie anywhere between those of the other.
+    a, b = (
+        prepare(sheets.noisy(sheets.quiet(s, 0.0, 0.02), i, 4.0), sheets.PITCH_MM).sides[1] for i, s in enumerate("ab")
+    )
     about = np.zeros(3)
-    weights = Weights.from_residuals(at(a, b, np.eye(4), about), a.noise_passed)
+    weights = Weights.from_residuals(at(a, b, sheets.T_TRUE, about), a.noise_passed)
     xi = np.array([0, 0, 0, 0.2, 0, 0])
-    ends = [at(a, b, perturb(np.eye(4), s * xi, about), about, weights) for s in (1, -1)]
+    ends = [at(a, b, perturb(sheets.T_TRUE, s * xi, about), about, weights) for s in (1, -1)]
     slope = (ends[0].g_texture - ends[1].g_texture)[3] / 0.4
-    middle = at(a, b, np.eye(4), about, weights)
+    middle = at(a, b, sheets.T_TRUE, about, weights)
     assert middle.H_texture[3, 3] > 1.5 * slope
     info = information(middle, LEVER_MM)
     # Two noisy gradients over 50,000 pixels.

@@ -113,3 +113,12 @@ def test_a_small_and_a_large_sensor_register_like_the_reference(factor):
     error = difference(expected, pair.T_a_b, pair.covariance_point_mm)
     # A twentieth of a pixel of 1.3 mm, scaled.
     assert np.linalg.norm(error[3:]) < 0.05 * sheets.GSD_MM * factor
+
+
+def test_measurements_of_different_resolution_register():
+    fine = synthetic.measurement(np.eye(4), sheets.grain(), name="a", scale=2 * sheets.SCALE, bend=sheets.BENT, seed=5)
+    coarse = sheets.noisy(sheets.quiet("b"), 2)
+    pair = register([fine, coarse], threads=2).pair("a", "b")
+    assert pair.status == "accepted", pair.reason
+    error = difference(sheets.T_TRUE, pair.T_a_b, pair.covariance_point_mm)
+    assert np.linalg.norm(error[3:]) < PLACE_TOLERANCE_MM

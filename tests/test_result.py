@@ -29,7 +29,7 @@ def make_registration():
         "door_1", "door_2", "accepted", "enough agreement",
         T, 1e-6 * np.eye(6), 1e-5 * np.eye(6), np.array([3.0, 2.0, 1.0]),
         344, 82, -120.5, RunnerUp(5, 0.3, geometry.invert(T), 0.4, 30.0),
-        (Direction((0.0, 0, 0, 1, 0, 0), 150.0, 0.002, 0.9, True),), 0.4,
+        (Direction((0.0, 0, 0, 1, 0, 0), 150.0, 0.002, 0.9, True, "a shift"),), 0.4,
         OverlapError(10_000, -0.1, 0.2, 0.004, 0.01, 0.002), True,
     )  # fmt: skip
     refused = PairResult("door_1", "door_3", "refused", "too few matches", matches=3)

@@ -277,7 +277,7 @@ def test_a_refinement_that_leaves_the_consensus_is_refused(refined):
 
 def test_a_direction_that_nothing_holds_is_refused(refined):
     found, directions = refined
-    loose = Direction(directions[0].direction, 100.0, 7.5, 0.1, False)
+    loose = Direction(directions[0].direction, 100.0, 7.5, 0.1, False, "a shift along the overlap's length")
     judgement = judge_refined(found, (*directions[:5], loose), 0.1, CLEAR, OPTIONS)
     assert judgement.status == "refused"
     assert "1 direction(s) held by neither" in judgement.reason

@@ -111,9 +111,11 @@ Out<double, 2> matrix6(const planish::Matrix6& value) {
 }
 
 nb::tuple normal_equations(const planish::Normal& n) {
-    Owned<double> g(1, 6, 1);
+    Owned<double> g(1, 6, 1), blur(1, 6, 1);
     std::copy_n(n.g.data(), 6, g.image.data);
-    return nb::make_tuple(matrix6(n.H), g.map(), n.cost, n.count, n.weights > 0 ? n.slopes / n.weights : 1.0);
+    std::copy_n(n.blur.data(), 6, blur.image.data);
+    return nb::make_tuple(matrix6(n.H), g.map(), n.cost, n.count, n.weights > 0 ? n.slopes / n.weights : 1.0,
+                          blur.map());
 }
 
 planish::JointOptions joint_options(const nb::tuple& options) {

@@ -13,6 +13,7 @@ JointSums& JointSums::operator+=(const JointSums& other) {
     for (auto [mine, theirs] : {std::pair{&distance, &other.distance}, std::pair{&texture, &other.texture}}) {
         mine->H += theirs->H;
         mine->g += theirs->g;
+        mine->blur += theirs->blur;
         mine->cost += theirs->cost;
         mine->weights += theirs->weights;
         mine->slopes += theirs->slopes;
@@ -39,12 +40,12 @@ using Column = Eigen::Array<float, kBatch, 1>;
 /// Residuals of one kind of up to `kBatch` pixels, in units of their noise, with both sides' derivatives.
 struct Batch {
     int count = 0;
-    /// x, y, z of the lever; of a's, b's and the mean derivative by a displacement; the residual.
-    std::array<Column, 13> columns;
+    /// x, y, z of the lever; of a's, b's and the mean derivative by a displacement; the residual; its change by the blur.
+    std::array<Column, 14> columns;
 
     Batch() { columns.fill(Column::Zero()); }
     void add(float residual, const Eigen::Vector3f& lever, const Eigen::Vector3f& a, const Eigen::Vector3f& b,
-             const Eigen::Vector3f& mean) {
+             const Eigen::Vector3f& mean, float blur) {
         for (int i = 0; i < 3; ++i) {
             columns[i][count] = lever[i];
             columns[3 + i][count] = a[i];
@@ -52,6 +53,7 @@ struct Batch {
             columns[9 + i][count] = mean[i];
         }
         columns[12][count] = residual;
+        columns[13][count] = blur;
         ++count;
     }
     [[nodiscard]] Lanes lanes(int column, int first) const { return columns[column].segment<kLanes>(first); }
@@ -66,7 +68,7 @@ struct Batch {
 /// Sums over batches, lane by lane.
 struct LaneSums {
     std::array<Lanes, kPairs> H, unbiased;
-    std::array<Lanes, 6> g;
+    std::array<Lanes, 6> g, blur;
     Lanes cost = Lanes::Zero(), weights = Lanes::Zero(), slopes = Lanes::Zero(), absolute = Lanes::Zero();
     int count = 0;
 
@@ -74,6 +76,7 @@ struct LaneSums {
         H.fill(Lanes::Zero());
         unbiased.fill(Lanes::Zero());
         g.fill(Lanes::Zero());
+        blur.fill(Lanes::Zero());
     }
     void add(const Batch& batch, const TileWeight& weight);
     void add_to(Normal& sums, Matrix6& unbiased_sums, Matrix62& tile, int column, double* sizes) const;
@@ -87,13 +90,14 @@ void LaneSums::add(const Batch& batch, const TileWeight& weight) {
         // 1 for pixels, 0 for what an older batch left behind them.
         const Lanes there = (static_cast<float>(batch.count - first) - number).max(0.0F).min(1.0F);
         const Lanes r = batch.lanes(12, first), xx = (r * over_scale).square(), y = (1.0F - xx).max(0.0F) * there;
-        const Lanes w = weight.weight * y.square(), wr = w * r;
+        const Lanes w = weight.weight * y.square(), wr = w * r, wb = w * batch.lanes(13, first);
         weights += y.square();
         slopes += y * (1.0F - 5.0F * xx);
         cost += wr * r;
         absolute += r.abs() * there;
         for (int i = 0, pair = 0; i < 6; ++i) {
             g[i] += wr * J[i];
+            blur[i] += wb * J[i];
             const Lanes wJ = w * J[i], wA = w * A[i], wB = w * B[i];
             for (int j = i; j < 6; ++j, ++pair) {
                 H[pair] += wJ * J[j];
@@ -110,6 +114,7 @@ void LaneSums::add_to(Normal& sums, Matrix6& unbiased_sums, Matrix62& tile, int 
     for (int i = 0, pair = 0; i < 6; ++i) {
         const double gradient = total(g[i]);
         sums.g[i] += gradient;
+        sums.blur[i] += total(blur[i]);
         tile(i, column) += gradient;
         for (int j = i; j < 6; ++j, ++pair) {
             const double plain = total(H[pair]), cross = 0.5 * total(unbiased[pair]);
@@ -157,7 +162,8 @@ void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& 
             if (!compare(m)) continue;
             const float over_sigma = 1.0F / m.sigma, r = m.distance * over_sigma;
             of_distance.add(r, (m.x - about).cast<float>(), m.normal_a * over_sigma, m.normal_b * over_sigma,
-                            (m.normal_a + m.normal_b).normalized() * over_sigma);
+                            (m.normal_a + m.normal_b).normalized() * over_sigma,
+                            (b.values.at(m.v, m.u)[joint::blur] - m.blur_a) * over_sigma);
             if (!distances.empty()) *distances.at(m.v, m.u) = r;
             add_texture(m, of_texture, sums);
             if (of_distance.count == kBatch) flush();
@@ -185,7 +191,7 @@ void Problem::add_texture(const Meeting& m, Batch& batch, JointSums& sums) const
     const Eigen::Vector3f of_a = m.gradient_a * over_sigma;
     const Eigen::Vector3f of_b =
         R_float * Eigen::Vector3f(pb[joint::gradient], pb[joint::gradient + 1], pb[joint::gradient + 2]) * over_sigma;
-    batch.add(r, (m.x - about).cast<float>(), of_a, of_b, 0.5F * (of_a + of_b));
+    batch.add(r, (m.x - about).cast<float>(), of_a, of_b, 0.5F * (of_a + of_b), 0.0F);
     sums.correlation_ab += value_a * value_b;
     sums.correlation_aa += value_a * value_a;
     sums.correlation_bb += value_b * value_b;

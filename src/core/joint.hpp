@@ -21,7 +21,8 @@ constexpr int variance_distance = 3;  ///< of the point along its normal [mm^2]
 constexpr int normal = 4;             ///< unit, towards the sensor
 constexpr int variance_texture = 7;   ///< of the texture's noise; NaN where there is no texture
 constexpr int gradient = 8;           ///< change of the texture per mm along the surface
-constexpr int channels = 12;          ///< the last one is not used
+constexpr int blur = 11;              ///< displacement along the normal by the images' blur, one standard deviation [mm]
+constexpr int channels = 12;
 }  // namespace joint
 
 /// What the joint refinement needs of one measurement, on its organising camera's pixel grid (all maps of one size).
@@ -45,10 +46,10 @@ struct TileWeight {
 };
 
 /// Normal equations of one kind of residual: H = J'WJ, g = J'Wr. `weights` and `slopes` are the sums of the robust
-/// weights psi(r) / r and of psi'(r): g changes by slopes / weights of H.
+/// weights psi(r) / r and of psi'(r): g changes by slopes / weights of H. `blur` is the change of g by what the blur may displace the points.
 struct Normal {
     Matrix6 H = Matrix6::Zero();
-    Vector6 g = Vector6::Zero();
+    Vector6 g = Vector6::Zero(), blur = Vector6::Zero();
     double cost = 0, weights = 0, slopes = 0;
     std::int64_t count = 0;
 };

@@ -92,6 +92,7 @@ struct Meeting {
     Eigen::Vector3f normal_a, normal_b;  ///< in frame a
     Eigen::Vector3f gradient_a;          ///< of a's texture
     float variance_texture = 0;          ///< of a's texture
+    float blur_a = 0;                    ///< displacement of a's surface by the blur [mm]
     float distance = 0;                  ///< along a's normal [mm]
     float sigma = 0;                     ///< its standard deviation [mm]
 };
@@ -168,6 +169,7 @@ struct JointPair {
         const Four chords = normals * chord;
         m.normal_a = normals.head<3>();
         m.gradient_a = gradients.head<3>();
+        m.blur_a = gradients[3];
         m.variance_texture = normals[3];
         m.distance = 0.5F * (planes[0] + planes[1] + planes[2] + chords[0] + chords[1] + chords[2]);
         return -chord[3];

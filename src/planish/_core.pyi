@@ -89,7 +89,7 @@ def find_consensus(
 ) -> tuple[F64, NDArray[np.int32]]: ...
 
 _Maps = tuple[F32, F32, NDArray[np.uint8]]
-_Normal = tuple[F64, F64, float, int, float]
+_Normal = tuple[F64, F64, float, int, float, F64]
 
 def joint_normal_equations(
     maps_a: _Maps,

@@ -30,7 +30,14 @@ def fit_pixel(points, camera, u, v, radius, max_slope):
     return camera.center_sensor + ray / w, normal, np.concatenate([x_u, x_v])
 
 
+def _slope(line, i):
+    """Derivative at place i by the differences of sixth order, where seven values are known; else of second order."""
+    if 3 <= i < len(line) - 3 and np.isfinite(line[[i - 3, i - 2, i + 2, i + 3]]).all():
+        return sum(w * (line[i + k] - line[i - k]) for k, w in ((1, 3 / 4), (2, -3 / 20), (3, 1 / 60)))
+    return (line[i + 1] - line[i - 1]) / 2
+
+
 def gradient_of_pixel(texture, tangents, u, v):
     """Tangential gradient (3,) of a texture at pixel (u, v): least-norm G with G . X_u = f_u, G . X_v = f_v."""
-    f = [(texture[v, u + 1] - texture[v, u - 1]) / 2, (texture[v + 1, u] - texture[v - 1, u]) / 2]
+    f = [_slope(texture[v], u), _slope(texture[:, u], v)]
     return np.linalg.pinv(tangents[v, u].reshape(2, 3).astype(float)) @ np.array(f, float)

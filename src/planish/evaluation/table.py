@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from planish.evaluation.result import Evaluation
-from planish.registration.result import Direction, PairResult, Registration
+from planish.registration.result import PairResult, Registration
 
 #: Columns of `pair_rows`: name and unit.
 PAIR_COLUMNS = (
@@ -81,13 +81,3 @@ def truth_measurement_rows(evaluation: Evaluation) -> list[tuple[str, ...]]:
         (m.name, number(m.tangential_rms_mm, 4), number(m.normal_rms_mm, 4), number(m.nees, 2, 1 / 6))
         for m in evaluation.measurements
     ]
-
-
-def describe_direction(direction: Direction) -> str:
-    """Return in words what moves: the larger share of rotation and translation of an eigenvector, and its axis."""
-    rotation, shift = direction.direction[:3], direction.direction[3:]
-    turns = sum(x * x for x in rotation) > sum(x * x for x in shift)
-    vector = rotation if turns else shift
-    length = sum(x * x for x in vector) ** 0.5 or 1.0
-    axis = ", ".join(f"{x / length:+.2f}" for x in vector)
-    return f"{'rotation about' if turns else 'translation along'} ({axis})"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammaln
 
 from planish import _core
 from planish.evaluation.prepared import Prepared
@@ -16,9 +17,11 @@ from planish.registration.tiles import held_out
 
 #: Share of a tile's pixels that must lie in the overlap.
 MIN_TILE_SHARE = 0.5
-#: A shift with a larger standard deviation is no observation [px]. Texture-free tiles stay far above: their curvature
-#: is a product of independent noises.
+#: A shift with a larger standard deviation is no observation [px]. Most texture-free tiles stay far above: their
+#: curvature is a product of independent noises.
 MAX_SIGMA_PX = 0.3
+#: Probability that tiles without texture pass for observations.
+MAX_CHANCE = 1e-3
 #: A tile that runs farther than this from the common shift found the wrong texture [px].
 MAX_RUN_PX = 2.0
 #: The common shift is searched for up to this far [mm]; the distance that still counts as overlap.
@@ -134,9 +137,23 @@ def measure_tile_shifts(
     good &= np.linalg.norm(shifts - start, axis=1) <= MAX_RUN_PX * gsd
     best = np.linalg.eigvalsh(np.where(good[:, None, None], covariances, np.eye(2)))[:, 0]
     good &= best < (MAX_SIGMA_PX * gsd) ** 2
+    if _by_chance(found[:, 7] * np.sqrt(found[:, 6]), good):
+        good[:] = False
     return TileShifts(
         tiles[good], points[good], axes[good], shifts[good], covariances[good], found[good, 7], MAX_SIGMA_PX * gsd
     )
+
+
+def _by_chance(significance: Array, good: NDArray[np.bool_]) -> bool:
+    """Whether the tiles that are left agree no better than some of as many tiles of noise do.
+
+    Of K standard normal variables, k that are picked after the fact have a sum over sqrt(k) beyond t with a
+    probability below C(K, k) exp(-t^2 / 2).
+    """
+    total, kept = len(good), int(good.sum())
+    picked = gammaln(total + 1) - gammaln(kept + 1) - gammaln(total - kept + 1)
+    limit = np.sqrt(2 * (picked - np.log(MAX_CHANCE)))
+    return kept == 0 or bool(significance[good].sum() / np.sqrt(kept) < limit)
 
 
 def _tiles_in_overlap(seen: NDArray[np.bool_], size: int) -> NDArray[np.intp]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
-from planish.options import Options
+from planish.options import Options, thread_count
 from planish.registration.consensus import CoarseResult, ConsensusOptions, Search, find_consensus
 from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows, prepare_dense
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
@@ -23,10 +23,11 @@ from planish.registration.matches import Matches
 from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
-from planish.registration.refine.overlap import overlap_extent
+from planish.registration.refine.kept_out import Agreement, agreement
+from planish.registration.refine.overlap import overlap_axes, overlap_extent
 from planish.registration.refine.sides import JointSide, held_out_pixels, joint_sides
 from planish.registration.refine.solve import Refined, RefineOptions, refine
-from planish.registration.result import PairResult
+from planish.registration.result import Direction, PairResult
 from planish.registration.surface import Surface, SurfaceOptions, fit_surface
 from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.charts import ChartOptions
@@ -255,13 +256,18 @@ def _refined_result(
     within_mm = options.verdict.verify.agree_mm
     refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor, within_mm)
     covariance = noise_covariance(refined) if refined is not None else None
-    directions = observability(refined, covariance) if refined is not None and covariance is not None else ()
+    directions: tuple[Direction, ...] = ()
+    kept_out = None
+    if refined is not None and covariance is not None:
+        kept_out = kept_out_agreement(a, b, refined, covariance, options, threads, verdict.without)
+        covariance = covariance * kept_out.factor
+        directions = observability(refined, covariance, overlap_axes(a.measurement, b.measurement, refined.T_a_b))
     drift = first.drift_mm(refined.T_a_b) if refined is not None else 0.0
     T, gate = first.T_a_b if refined is None else refined.T_a_b, options.verdict.verify.gate_mm
     sight = line_of_sight(a.measurement, b.measurement, T, gate, verdict.without)
     unmoved_mm = options.verdict.still_px * ground_sample_distance(a.measurement) if verdict.unmoved else None
-    refuted = judge_refined(refined, directions, drift, sight, options.verdict, unmoved_mm)
-    if refined is None or refuted is not None:
+    refuted = judge_refined(refined, directions, drift, sight, options.verdict, unmoved_mm, kept_out)
+    if refined is None or kept_out is None or refuted is not None:
         assert refuted is not None
         return replace(result, status=refuted.status, reason=refuted.reason, observability=directions)
     shifts = pair_shifts(a, b, refined, options, threads)
@@ -269,6 +275,7 @@ def _refined_result(
         result,
         T_a_b=refined.T_a_b,
         covariance_noise=covariance,
+        covariance_factor=kept_out.factor,
         covariance_calibration=calibration_covariance(shifts),
         calibration_shifts=shifts,
         covariance_point_mm=refined.about,
@@ -301,6 +308,24 @@ def refine_pair(
     sides_a, sides_b = _without(a.fit_sides, without[0]), _without(b.sides, without[1])
     steps = options.refine.starting_within(within_mm, ground_sample_distance(b.measurement))
     return refine(sides_a, sides_b, T_a_b, centre, radius, tile, steps, threads, anchor)
+
+
+def kept_out_agreement(
+    a: Prepared,
+    b: Prepared,
+    refined: Refined,
+    covariance: Array,
+    options: PairOptions | None = None,
+    threads: int | None = None,
+    without: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None),
+) -> Agreement:
+    """Return what the tiles of a that took no part in a fit say about it; arguments as in `refine_pair`."""
+    options = options or PairOptions()
+    finest = options.refine.spacing_px[-1]
+    only = _without({finest: a.sides[finest].without(~held_out_pixels(a.measurement))}, without[0])
+    side_b = _without({finest: b.sides[finest]}, without[1])[finest]
+    tile = tile_size_px(b.measurement)
+    return agreement(only[finest], side_b, refined, covariance, tile, options.refine, thread_count(threads))
 
 
 def _without(sides: Mapping[int, JointSide], mask: NDArray[np.bool_] | None) -> Mapping[int, JointSide]:

@@ -21,6 +21,10 @@ SCHEMA = "planish.registration/1"
 
 Status = Literal["accepted", "refused", "ambiguous"]
 
+#: Share of the information below which a source does not count as holding a direction: alone, it would leave the
+#: direction three times as uncertain.
+LITTLE = 0.1
+
 
 @dataclass(frozen=True)
 class OverlapError:
@@ -80,7 +84,8 @@ class Motion:
 class Direction:
     """One eigenvector of the pair's information: what moves, how well it is held, and by what.
 
-    `direction` is a unit vector (6,) [rotation rad scaled by `length_mm`, translation mm] about the covariance point.
+    `direction` is a unit vector (6,) [rotation rad scaled by `length_mm`, translation mm] about the covariance point,
+    `motion` its larger part in words.
     """
 
     direction: tuple[float, ...]
@@ -88,6 +93,19 @@ class Direction:
     sigma_mm: float
     texture_share: float
     observable: bool
+    motion: str
+
+    @property
+    def held_by(self) -> str:
+        """What holds the motion, in words."""
+        if not self.observable:
+            return f"held by neither geometry nor texture (uncertain by {self.sigma_mm:.1f} mm)"
+        share, sigma = self.texture_share, f"({self.sigma_mm:.4f} mm)"
+        if share > 1 - LITTLE:
+            return f"held by texture {sigma}, not by geometry"
+        if share < LITTLE:
+            return f"held by geometry {sigma}, not by texture"
+        return f"held by both {sigma}, {100 * share:.0f} % of it by texture"
 
 
 @dataclass(frozen=True)
@@ -98,7 +116,8 @@ class PairResult:
     `motions` lists all that moved, where several things moved differently.
 
     Covariances (6, 6) are of xi = [rotation rad, translation mm] with T_a_b = perturb(T_hat, xi, covariance_point_mm);
-    the point is given in the frame of a.
+    the point is given in the frame of a. `covariance_factor` is contained in `covariance_noise`: it exceeds 1 where
+    tiles kept out of the fit disagree with it by more than was stated.
     """
 
     a: str
@@ -130,6 +149,7 @@ class PairResult:
     windows: int = 0
     windows_agreeing: int = 0
     motions: tuple[Motion, ...] = ()
+    covariance_factor: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -213,8 +233,8 @@ def _plain(value: Any) -> Any:
 
 _PAIR_KEYS = (
     "a", "b", "status", "reason", "used", "removed_reason", "T_a_b", "covariance_noise", "covariance_calibration",
-    "covariance_point_mm", "matches", "consensus", "log10_false_alarms", "windows", "windows_agreeing",
-    "runner_up", "motions", "observability", "overlap", "overlap_error",
+    "covariance_point_mm", "covariance_factor", "matches", "consensus", "log10_false_alarms", "windows",
+    "windows_agreeing", "runner_up", "motions", "observability", "overlap", "overlap_error",
 )  # fmt: skip
 
 
@@ -262,6 +282,7 @@ class _DirectionFile(Strict):
     sigma_mm: float
     texture_share: float
     observable: bool
+    motion: str
 
 
 class _PairFile(Strict):
@@ -275,6 +296,7 @@ class _PairFile(Strict):
     covariance_noise: Matrix | None
     covariance_calibration: Matrix | None
     covariance_point_mm: tuple[float, float, float] | None
+    covariance_factor: float = Field(ge=1)
     matches: int
     consensus: int
     log10_false_alarms: float

@@ -7,7 +7,6 @@ from html import escape
 
 import numpy as np
 
-from planish.evaluation import table
 from planish.registration.result import PairResult, Registration
 from planish.report import text
 from planish.report.figures import MAX_LINES
@@ -69,10 +68,10 @@ def _observability(pair: PairResult) -> str:
         return ""
     rows = [
         (
-            table.describe_direction(d),
+            d.motion,
             f"{d.sigma_mm:.4f}",
             f"{100 * d.texture_share:.0f}",
-            "yes" if d.observable else "no",
+            d.held_by,
         )
         for d in pair.observability
     ]

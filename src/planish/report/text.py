@@ -92,7 +92,7 @@ def remarks(pair: PairResult) -> list[str]:
         out.append(f"Left out of the network: {pair.removed_reason}")
     weak = [d for d in pair.observability if not d.observable]
     if weak:
-        out.append(f"{count(len(weak), 'direction')} of motion not held by this overlap, see the table.")
+        out += [f"{d.motion[:1].upper()}{d.motion[1:]}: {d.held_by}." for d in weak]
     error = pair.overlap_error
     if error is not None and error.rms_tangential_mm is not None and error.sigma_tangential_mm is not None:
         if error.rms_tangential_mm > NOTEWORTHY * error.sigma_tangential_mm:

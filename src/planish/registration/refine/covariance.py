@@ -22,6 +22,7 @@ def noise_covariance(refined: Refined) -> Array:
     window of the surface fit and the smoothing of the texture, over its border. The covariance H^-1 M H^-1, M the
     scatter of the tiles' gradients (White 1980; Liang and Zeger 1986), needs no model of that correlation. H is the
     derivative of the robust gradient (Huber 1981, section 6.4), free of the noise of normals and texture gradients.
+    What the blur of the images may displace goes over all tiles and is added as one mode.
     """
     info = information(refined.equations, refined.lever_mm)
     values, vectors = np.linalg.eigh((info.total + info.total.T) / 2)
@@ -29,6 +30,7 @@ def noise_covariance(refined: Refined) -> Array:
     inverse = vectors[:, held] / values[held]
     scatter = _gradient_scatter(combined_tiles(refined.equations, info))
     scatter += refined.equations.H_anchor / np.outer(info.scale, info.scale)
+    scatter += np.outer(info.blur, info.blur)
     C = inverse @ (vectors[:, held].T @ scatter @ vectors[:, held]) @ inverse.T
     C += _NOTHING_MM**2 * vectors[:, ~held] @ vectors[:, ~held].T
     return C / np.outer(info.scale, info.scale)
@@ -57,10 +59,11 @@ def _gradient_scatter(g: Array) -> Array:
     return half @ half.T * n / max(n - 6, 1)
 
 
-def observability(refined: Refined, covariance: Array) -> tuple[Direction, ...]:
+def observability(refined: Refined, covariance: Array, axes: Array | None = None) -> tuple[Direction, ...]:
     """Return the six principal directions of the information, best held first, each with what holds it.
 
-    Rotations are scaled by the overlap's radius, so that all six are in millimetres at the overlap's rim.
+    Rotations are scaled by the overlap's radius, so that all six are in millimetres at the overlap's rim. `axes` (3, 3)
+    are those of the overlap (`overlap_axes`), which the motions are named by.
     """
     info = information(refined.equations, refined.lever_mm)
     _, vectors = np.linalg.eigh((info.total + info.total.T) / 2)
@@ -70,5 +73,28 @@ def observability(refined: Refined, covariance: Array) -> tuple[Direction, ...]:
         v = v * np.sign(v[np.argmax(np.abs(v))])
         sigma = float(np.sqrt(v @ C @ v))
         share = float(np.clip(v @ info.texture @ v / max(v @ info.total @ v, 1e-30), 0, 1))
-        directions.append(Direction(tuple(float(x) for x in v), refined.lever_mm, sigma, share, sigma < OBSERVABLE_MM))
+        name = _motion(v, axes)
+        held = sigma < OBSERVABLE_MM
+        directions.append(Direction(tuple(float(x) for x in v), refined.lever_mm, sigma, share, held, name))
     return tuple(directions)
+
+
+#: Names of the overlap's axes, the longest first.
+_AXES = ("the overlap's length", "the overlap's width", "the overlap's normal")
+#: A direction is named by an axis from this cosine on (30 degrees).
+_NEAR_AXIS = 0.87
+
+
+def _motion(direction: Array, axes: Array | None) -> str:
+    """What moves, in words: the larger part of a direction, rotation or shift, and its axis."""
+    rotation, translation = direction[:3], direction[3:]
+    turns = bool(np.linalg.norm(rotation) > np.linalg.norm(translation))
+    vector = rotation if turns else translation
+    vector = vector / np.linalg.norm(vector)
+    kind = "a rotation about" if turns else "a shift along"
+    if axes is not None:
+        cosines = np.abs(axes.T @ vector)
+        nearest = int(np.argmax(cosines))
+        if cosines[nearest] > _NEAR_AXIS:
+            return f"{kind} {_AXES[nearest]}"
+    return f"{kind} ({vector[0]:.2f}, {vector[1]:.2f}, {vector[2]:.2f})"

@@ -35,6 +35,8 @@ class Information:
         Its expected derivative by the scaled xi, by the texture alone and in all.
     noise : ndarray (6, 6)
         Covariance of the gradient if weights are right and values independent.
+    blur : ndarray (6,)
+        Change of the gradient by one standard deviation of the images' blur.
     """
 
     scale: Array
@@ -43,6 +45,7 @@ class Information:
     texture: Array
     total: Array
     noise: Array
+    blur: Array
 
 
 def information(e: Equations, lever_mm: float, min_slope: float = 0.0, afar: bool = False) -> Information:
@@ -64,6 +67,7 @@ def information(e: Equations, lever_mm: float, min_slope: float = 0.0, afar: boo
         texture,
         slope_distance * distance + texture,
         distance + e.H_texture / outer + anchor,
+        slope_distance * trust @ (e.g_blur / scale),
     )
 
 

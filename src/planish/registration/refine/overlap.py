@@ -9,12 +9,30 @@ from planish.measurement import Measurement
 
 #: Every n-th pixel along both axes.
 _STRIDE = 8
+#: Fewer common points are no overlap.
+_LEAST = 10
 
 
 def overlap_extent(
     a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: float = 2.0
 ) -> tuple[Array, float] | None:
     """Return centre (3,) in frame a and rms radius [mm] of the common surface, or None where there is none."""
+    common = _common_points(a, b, T_a_b, max_distance_mm)
+    if len(common) < _LEAST:
+        return None
+    centre = common.mean(0)
+    return centre, float(np.sqrt(((common - centre) ** 2).sum(1).mean()))
+
+
+def overlap_axes(a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: float = 2.0) -> Array:
+    """Return the axes of the common surface in frame a (columns): its length, its width, its normal."""
+    common = _common_points(a, b, T_a_b, max_distance_mm)
+    if len(common) < _LEAST:
+        return np.eye(3)
+    return np.asarray(np.linalg.svd(common - common.mean(0), full_matrices=False)[2].T)
+
+
+def _common_points(a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: float) -> Array:
     points_b = b.points_sensor[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(float)
     points = np.asarray(transform_points(T_a_b, points_b[np.isfinite(points_b[:, 2])]), float)
     pixels = np.rint(a.camera.project(points))
@@ -22,8 +40,4 @@ def overlap_extent(
     inside = ((pixels >= 0) & (pixels < [width, height])).all(1)
     u, v = pixels[inside].astype(int).T
     near = np.linalg.norm(a.points_sensor[v, u] - points[inside], axis=1) < max_distance_mm
-    common = points[inside][near]
-    if len(common) < 10:
-        return None
-    centre = common.mean(0)
-    return centre, float(np.sqrt(((common - centre) ** 2).sum(1).mean()))
+    return np.asarray(points[inside][near])

@@ -27,7 +27,8 @@ class Equations:
     `slope_distance` and `slope_texture` are the sums of psi'(r) over those of psi(r) / r of the robust influence psi:
     by so much of H the gradient really changes. Of each tile (`tile` px) of b, `tile_gradients` (rows, columns, 2, 6)
     are the parts of the gradient of distance and texture, `tile_sizes` (rows, columns, 2, 2) number and sum of the
-    absolute values of the residuals. `H_anchor` and `g_anchor` are those of windows (`Anchor`).
+    absolute values of the residuals. `g_blur` is the change of `g_distance` by the standard deviation of the blur.
+    `H_anchor` and `g_anchor` are those of windows (`Anchor`).
     """
 
     H_distance: Array
@@ -48,6 +49,7 @@ class Equations:
     distances: Map
     differences: Map
     H_anchor: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    g_blur: Array = field(default_factory=lambda: np.zeros(6))
     g_anchor: Array = field(default_factory=lambda: np.zeros(6))
 
 
@@ -146,7 +148,7 @@ def equations(
     shape = tiles.shape[:2]
     return Equations(
         d[0], d[1][0], t[0], t[1][0], Hd, Ht, d[4], t[4], d[2] + t[2], d[3], t[3], correlation, tile,
-        tiles.reshape(*shape, 2, 6), sizes.reshape(*shape, 2, 2), distances, differences,
+        tiles.reshape(*shape, 2, 6), sizes.reshape(*shape, 2, 2), distances, differences, g_blur=d[5][0],
     )  # fmt: skip
 
 

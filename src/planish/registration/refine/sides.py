@@ -13,6 +13,7 @@ from planish import _core
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import thread_count
+from planish.registration.refine.blur import height_by_blur
 from planish.registration.refine.filtering import filter_texture
 from planish.registration.surface import Surface
 from planish.registration.tiles import held_out, tile_size_px
@@ -24,6 +25,9 @@ _THINNED_NOISE = 1 / (4 * np.pi * _BEFORE_THINNING**2)
 #: Where the low-pass of the shading had less than this share of its window, the rim of the part or a shadow is near,
 #: and slow shading was left in the texture.
 _INSIDE = 0.9
+#: Variance of the images' blur and its standard deviation [px^2]: a pixel's aperture alone has 1 / 12, optics that
+#: suit it about as much as 0.4.
+_BLUR, _BLUR_SIGMA = 0.3, 0.15
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,8 @@ class JointSide:
     spacing_px : int
         n.
     values : ndarray (H, W, 12) float32
-        Point [mm], variance along its normal [mm^2], normal, variance of the texture, its gradient [1/mm], 0.
+        Point [mm], variance along its normal [mm^2], normal, variance of the texture, its gradient [1/mm],
+        standard deviation of what the images' blur displaces along the normal [mm].
     texture : ndarray (H, W) float32
         Filtered texture; NaN where it takes no part.
     use : ndarray (H, W) uint8
@@ -102,7 +107,10 @@ def joint_sides(
     texture = np.where(known, filtered.value, np.float32(np.nan))
     # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
     points = np.where(np.isfinite(surface.points_sensor), measurement.points_sensor, np.float32(np.nan))
-    depth = _variance_along_normal(measurement, surface)
+    by_blur = height_by_blur(measurement, surface)
+    points -= (np.float32(_BLUR) * by_blur)[..., None] * surface.normals_sensor
+    uncertain = np.float32(_BLUR_SIGMA) * by_blur
+    depth = _variance_along_normal(measurement, surface) + uncertain**2
     sides = {}
     for n in spacings_px:
         # Coarse levels must lead here from afar: there the texture is as it is, its slow changes the strongest.
@@ -116,6 +124,7 @@ def joint_sides(
         # One value in n^2 stands for n^2 independent ones.
         values[..., 7] = _thin(np.where(inside, sigma**2, np.float32(np.nan)), n) / np.float32(n * n)
         values[..., 8:11] = _thin(gradient, n)
+        values[..., 11] = _thin(uncertain, n)
         camera = measurement.camera.kernel_parameters.copy()
         camera[:5] /= n
         use = np.ones(values.shape[:2], np.uint8)

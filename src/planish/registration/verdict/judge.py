@@ -12,6 +12,7 @@ from planish.geometry import Array
 from planish.options import Options
 from planish.registration.consensus import CoarseResult, find_consensus
 from planish.registration.matches import Matches
+from planish.registration.refine.kept_out import Agreement
 from planish.registration.refine.solve import Refined
 from planish.registration.result import Direction, Motion, RunnerUp, Status
 from planish.registration.tiles import ground_sample_distance
@@ -304,11 +305,13 @@ def judge_refined(
     sight: Sight,
     options: VerdictOptions,
     unmoved_mm: float | None = None,
+    kept_out: Agreement | None = None,
 ) -> Judgement | None:
     """Return why the refinement refutes the consensus, or None where it confirms it.
 
     `sight` is what the cameras say about the surfaces under the refined transform.
     `unmoved_mm` is given where all that agrees stands still in the image: by how much the part may have moved unseen.
+    `kept_out` is what the tiles say that took no part in the fit.
     """
     if refined is None:
         return Judgement("refused", "the surfaces do not overlap under the transform that the texture suggests")
@@ -337,6 +340,8 @@ def judge_refined(
             f"the textures do not correlate where they should overlap (r = {e.correlation:.3f}, "
             f"{significance:.1f} sigma)",
         )
+    if kept_out is not None and kept_out.contradicts and kept_out.shift_mm > options.max_drift_mm:
+        return Judgement("refused", reasons.kept_out_elsewhere(kept_out))
     loose = [d for d in directions if not d.observable]
     return Judgement("refused", reasons.loose_directions(loose)) if loose else None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from planish.registration.refine.kept_out import Agreement
 from planish.registration.result import Direction, RunnerUp
 from planish.registration.texture.resample import TextureImage
 from planish.registration.texture.strength import texture_strength
@@ -66,16 +67,18 @@ def support(hypothesis: Hypothesis) -> str:
     return f"{hypothesis.places} places"
 
 
+def kept_out_elsewhere(kept_out: Agreement) -> str:
+    """Return why tiles that took no part in the fit refute it."""
+    return (
+        f"a fifth of the overlap, kept out of the fit, lies {kept_out.shift_mm:.2f} mm off it (chi-squared "
+        f"{kept_out.chi_squared:.0f} of {kept_out.directions} directions): the part moved or bent during the captures, "
+        "or the overlap is too small for its texture; capture again, or take a view with more overlap"
+    )
+
+
 def loose_directions(directions: list[Direction]) -> str:
     """Return which directions are held by neither geometry nor texture, in words."""
-    words = []
-    for d in directions:
-        rotation, translation = np.array(d.direction[:3]), np.array(d.direction[3:])
-        turns = bool(np.linalg.norm(rotation) > np.linalg.norm(translation))
-        axis = rotation if turns else translation
-        axis = axis / np.linalg.norm(axis)
-        kind = "a rotation about" if turns else "a shift along"
-        words.append(f"{kind} ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f}) uncertain by {d.sigma_mm:.1f} mm")
+    words = [f"{d.motion} uncertain by {d.sigma_mm:.1f} mm" for d in directions]
     return (
         f"{len(directions)} direction(s) held by neither geometry nor texture: {'; '.join(words)} (axes in the frame "
         "of the first); the texture runs along it (brush marks, lines) or the overlap is too small: take a view with "

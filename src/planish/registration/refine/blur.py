@@ -1,0 +1,151 @@
+"""What the blur of the images does to heights: points of bent, obliquely seen or unevenly lit surfaces are displaced.
+
+A blurred fringe image shows at a pixel the phase of its neighbourhood, weighted by the light that comes from there. On
+surfaces that both cameras see alike the two shifts cancel; towards a limb, where one camera sees the surface more
+obliquely than the other, they do not.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.geometry import Array
+from planish.measurement import Map, Measurement
+from planish.registration.surface import Surface
+
+Mask = NDArray[np.bool_]
+Index = NDArray[np.intp]
+
+#: Scale of the local fits (standard deviation of the window), and distance of the places where they are made [px].
+_SCALE_PX, _STEP_PX = 5.0, 4
+#: Half the window, in scales.
+_REACH = 2.5
+#: Powers of (u, v) in a fit of second order.
+_POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+#: A fit needs so many times the window's share that a corner of a surface fills.
+_MIN_SHARE = 0.15
+
+
+def height_by_blur(measurement: Measurement, surface: Surface) -> Map:
+    """Return by how much a blur of variance 1 px^2 displaces each point along its normal (H, W) [mm]; 0 where unknown.
+
+    Points of two cameras by fringes or Gray code; the blur is the same in both, and small against what bends.
+
+    Notes
+    -----
+    To the first order in its variance s, a blur changes the phase of a fringe image of modulation B by
+    s (grad phi . grad ln B + laplacian phi / 2). Of two cameras the correspondence shifts by the difference of both,
+    each in its own pixels, over the slope of the phase along the epipolar line.
+    """
+    nothing = np.zeros(measurement.shape, np.float32)
+    other = measurement.rig.other(measurement.organised_on)
+    view = measurement.views.get(measurement.organised_on)
+    light = None if view is None else view.modulation if view.modulation is not None else view.mean
+    in_b, position = measurement.correspondence_px, measurement.position_px
+    if other is None or other not in measurement.rig.cameras or in_b is None or position is None or light is None:
+        return nothing
+    normals = surface.normals_sensor
+    known = np.isfinite(in_b[..., 0] + position + normals[..., 2]) & (light > 0)
+    thinned = known[::_STEP_PX, ::_STEP_PX]
+    v, u = (index * _STEP_PX for index in np.nonzero(thinned))
+    if len(u) == 0:
+        return nothing
+    fields = [in_b[..., 0], in_b[..., 1], position, np.log(np.where(known, light, 1))]
+    fits, enough = _quadratic_fits([np.where(known, f, np.nan) for f in fields], known, v, u)
+    with np.errstate(all="ignore"):
+        shift = _phase_shifts(*fits)
+        points = measurement.points_sensor[v, u].astype(float)
+        rays = points - measurement.camera.center_sensor
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        camera = measurement.rig.cameras[other]
+        per_mm = camera.project(points + rays) - camera.project(points)
+        J = fits[0][:, 1:3], fits[1][:, 1:3]
+        slope = np.einsum("ni,ni->n", _by_b(np.stack(J, 1), fits[2][:, 1:3]), per_mm)
+        height = shift / slope * np.einsum("ni,ni->n", rays, normals[v, u])
+    sparse = np.full(thinned.shape, np.nan, np.float32)
+    sparse[thinned] = np.where(enough & np.isfinite(height), height, np.nan)
+    return np.where(known, _spread(sparse, measurement.shape), np.float32(0))
+
+
+def _phase_shifts(u_b: Array, v_b: Array, phase: Array, light: Array) -> Array:
+    """Shift of a's phase less that of b's (n), from fits (n, 6): value, two slopes, three second derivatives."""
+    own = np.einsum("ni,ni->n", phase[:, 1:3], light[:, 1:3]) + (phase[:, 3] + phase[:, 5]) / 2
+    J = np.stack([u_b[:, 1:3], v_b[:, 1:3]], 1)
+    slope, slope_light = _by_b(J, phase[:, 1:3]), _by_b(J, light[:, 1:3])
+    # Chain rule of second derivatives: H_a = J' H_b J + sum of the slopes times the map's own second derivatives.
+    bent = phase[:, 3:] - slope[:, :1] * u_b[:, 3:] - slope[:, 1:] * v_b[:, 3:]
+    H = np.stack([np.stack([bent[:, 0], bent[:, 1]], 1), np.stack([bent[:, 1], bent[:, 2]], 1)], 1)
+    inverse = _inverse(J)
+    laplacian = np.einsum("nji,njk,nki->n", inverse, H, inverse)
+    return np.asarray(own - np.einsum("ni,ni->n", slope, slope_light) - laplacian / 2)
+
+
+def _by_b(J: Array, slope: Array) -> Array:
+    """Slopes (n, 2) per pixel of b from those per pixel of a; J (n, 2, 2) leads from a's pixels to b's."""
+    return np.asarray(np.einsum("nji,nj->ni", _inverse(J), slope))
+
+
+def _inverse(J: Array) -> Array:
+    out = np.stack([np.stack([J[:, 1, 1], -J[:, 0, 1]], 1), np.stack([-J[:, 1, 0], J[:, 0, 0]], 1)], 1)
+    return np.asarray(out / (J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0])[:, None, None])
+
+
+def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index) -> tuple[list[Array], Array]:
+    """Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 (n, 6) of each field at places (n), by weighted least squares."""
+    reach = int(_REACH * _SCALE_PX)
+    t = np.arange(-reach, reach + 1) / _SCALE_PX
+    window = np.exp(-0.5 * t**2)
+    columns = [np.asarray(window * t**p, np.float32) for p in range(5)]
+
+    def moment(image: Map, p: int, q: int) -> Array:
+        filtered = cv2.sepFilter2D(image, cv2.CV_32F, columns[p], columns[q], borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(filtered[v, u], float)
+
+    share = known.astype(np.float32)
+    moments = {(p, q): moment(share, p, q) for p, q in product(range(5), range(5)) if p + q <= 4}
+    M = np.empty((len(u), 6, 6))
+    for i, j in product(range(6), range(6)):
+        M[:, i, j] = moments[_POWERS[i][0] + _POWERS[j][0], _POWERS[i][1] + _POWERS[j][1]]
+    enough = moments[0, 0] > _MIN_SHARE * window.sum() ** 2
+    M += 1e-6 * np.eye(6)
+    # About a plane, so that float32 sums keep what is bent.
+    grid_v, grid_u = np.indices(known.shape).astype(np.float32)
+    per = np.array([1, 1 / _SCALE_PX, 1 / _SCALE_PX, *[2 / _SCALE_PX**2, 1 / _SCALE_PX**2, 2 / _SCALE_PX**2]])
+    right, planes = [], []
+    for field in fields:
+        plane = _plane(field, known)
+        rest = np.where(known, field - plane[0] - plane[1] * grid_u - plane[2] * grid_v, 0).astype(np.float32)
+        right.append(np.stack([moment(rest, p, q) for p, q in _POWERS], 1))
+        planes.append(plane)
+    found = np.linalg.solve(M, np.stack(right, 2)) * per[:, None]
+    found[:, 1:3] += np.stack(planes, 1)[None, 1:3]
+    return [found[:, :, k] for k in range(len(fields))], enough
+
+
+def _plane(field: Map, known: Mask) -> Array:
+    """Coefficients (1, u, v) of a plane through a sample of the field."""
+    v, u = np.nonzero(known)
+    step = max(1, len(u) // 2000)
+    v, u = v[::step], u[::step]
+    found, *_ = np.linalg.lstsq(np.stack([np.ones(len(u)), u, v], 1), field[v, u].astype(float), rcond=None)
+    return np.asarray(found)
+
+
+def _spread(sparse: Map, shape: tuple[int, int]) -> Map:
+    """Values of every n-th pixel at all pixels: linear between known ones, the nearest known beside them."""
+    known = np.isfinite(sparse)
+    if not known.any():
+        return np.zeros(shape, np.float32)
+    _, labels = cv2.distanceTransformWithLabels(
+        (~known).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of_label = np.zeros(int(labels.max()) + 1, np.float32)
+    of_label[labels[known]] = sparse[known]
+    filled = of_label[labels]
+    v, u = (np.arange(n, dtype=np.float32) / _STEP_PX for n in shape)
+    map_u, map_v = np.meshgrid(u, v)
+    return cv2.remap(filled, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

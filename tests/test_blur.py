@@ -1,0 +1,71 @@
+"""What the blur of the images does to heights: its derivatives, and where it vanishes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import sheets
+from planish.registration.refine.blur import _phase_shifts, _quadratic_fits, _spread, height_by_blur
+from planish.registration.surface import fit_surface
+
+#: Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 of quadratic fields about (0, 0).
+U_B, V_B = (3.0, 0.8, 0.05, 0.004, 0.001, -0.002), (5.0, -0.02, 1.1, 0.001, 0.002, 0.003)
+#: Phase and light in b's pixels about (3, 5).
+PHASE_B, LIGHT_B = (1.0, 0.3, 0.05, 0.006, -0.002, 0.004), (0.0, -0.03, 0.02, 0.0, 0.0, 0.0)
+#: Differences over this many pixels give second derivatives to 1e-7 [px].
+STEP = 1e-3
+
+
+def quadratic(c, u, v):
+    return c[0] + c[1] * u + c[2] * v + c[3] * u * u / 2 + c[4] * u * v + c[5] * v * v / 2
+
+
+def derivatives(f):
+    """The six numbers of a fit, by differences about (0, 0)."""
+    h = STEP
+    first = (f(h, 0) - f(-h, 0)) / (2 * h), (f(0, h) - f(0, -h)) / (2 * h)
+    second = (f(h, 0) - 2 * f(0, 0) + f(-h, 0)) / h**2, (f(0, h) - 2 * f(0, 0) + f(0, -h)) / h**2
+    mixed = (f(h, h) - f(h, -h) - f(-h, h) + f(-h, -h)) / (4 * h * h)
+    return np.array([[f(0, 0), *first, second[0], mixed, second[1]]])
+
+
+def shift(c, light):
+    return c[1] * light[1] + c[2] * light[2] + (c[3] + c[5]) / 2
+
+
+def test_the_shift_is_the_difference_of_both_cameras_shifts_each_in_its_own_pixels():
+    def seen_by_a(c):
+        return derivatives(lambda u, v: quadratic(c, quadratic(U_B, u, v) - 3, quadratic(V_B, u, v) - 5))
+
+    phase, light = seen_by_a(PHASE_B), seen_by_a(LIGHT_B)
+    found = _phase_shifts(np.array([U_B]), np.array([V_B]), phase, light)
+    assert found[0] == pytest.approx(shift(phase[0], light[0]) - shift(PHASE_B, LIGHT_B), abs=1e-7)
+    assert abs(found[0]) > 1e-3
+
+
+def test_cameras_that_see_alike_are_shifted_alike():
+    u, v = np.array([[7.0, 1, 0, 0, 0, 0]]), np.array([[9.0, 0, 1, 0, 0, 0]])
+    assert _phase_shifts(u, v, np.array([PHASE_B]), np.array([LIGHT_B]))[0] == pytest.approx(0, abs=1e-12)
+
+
+def test_the_fit_of_a_quadratic_field_is_exact_at_a_rim_too():
+    v, u = np.indices((60, 80)).astype(float)
+    known = u > 20
+    field = quadratic(U_B, u - 40, v - 30).astype(np.float32)
+    (found,), enough = _quadratic_fits([field], known, np.array([30, 30]), np.array([40, 22]))
+    assert enough.all()
+    # float32 sums over a window of 25 px.
+    np.testing.assert_allclose(found[0, 1:], U_B[1:], atol=2e-5)
+    np.testing.assert_allclose(found[1, 3:], U_B[3:], atol=2e-4)
+
+
+def test_values_spread_from_the_nearest_known_one():
+    sparse = np.full((6, 8), np.nan, np.float32)
+    sparse[2, 3] = 4.0
+    assert (_spread(sparse, (24, 32)) == 4.0).all()
+
+
+def test_one_camera_alone_has_no_shift():
+    m = sheets.quiet("a")
+    assert not height_by_blur(m, fit_surface(m)).any()
