@@ -40,7 +40,8 @@ using Column = Eigen::Array<float, kBatch, 1>;
 /// Residuals of one kind of up to `kBatch` pixels, in units of their noise, with both sides' derivatives.
 struct Batch {
     int count = 0;
-    /// x, y, z of the lever; of a's, b's and the mean derivative by a displacement; the residual; its change by the blur.
+    /// x, y, z of the lever; of a's, b's and the mean derivative by a displacement; the residual; its change by the
+    /// blur.
     std::array<Column, 14> columns;
 
     Batch() { columns.fill(Column::Zero()); }

@@ -21,7 +21,7 @@ constexpr int variance_distance = 3;  ///< of the point along its normal [mm^2]
 constexpr int normal = 4;             ///< unit, towards the sensor
 constexpr int variance_texture = 7;   ///< of the texture's noise; NaN where there is no texture
 constexpr int gradient = 8;           ///< change of the texture per mm along the surface
-constexpr int blur = 11;              ///< displacement along the normal by the images' blur, one standard deviation [mm]
+constexpr int blur = 11;  ///< displacement along the normal by the images' blur, one standard deviation [mm]
 constexpr int channels = 12;
 }  // namespace joint
 
@@ -46,7 +46,8 @@ struct TileWeight {
 };
 
 /// Normal equations of one kind of residual: H = J'WJ, g = J'Wr. `weights` and `slopes` are the sums of the robust
-/// weights psi(r) / r and of psi'(r): g changes by slopes / weights of H. `blur` is the change of g by what the blur may displace the points.
+/// weights psi(r) / r and of psi'(r): g changes by slopes / weights of H. `blur` is the change of g by what the blur
+/// may displace the points.
 struct Normal {
     Matrix6 H = Matrix6::Zero();
     Vector6 g = Vector6::Zero(), blur = Vector6::Zero();
