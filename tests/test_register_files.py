@@ -21,6 +21,8 @@ from planish.execution.pool import WorkerPool
 from planish.geometry import difference, exp_se3, invert
 from planish.measurement import Measurement
 from planish.pipeline import add_files, register, register_files, registering_files
+from planish.pipeline.options import RegisterOptions
+from planish.registration.candidates.choose import CandidateOptions
 from planish.registration.result import Registration
 from planish.registration.texture import fixed_pattern
 
@@ -80,6 +82,16 @@ def test_a_second_run_computes_nothing_and_gives_the_same_bytes(files, whole):
     assert run.reused == {"pattern": (1, 1), "texture": (3, 3), "pairs": (3, 3)}
     assert stage_files(whole) == before
     assert content(whole) == bytes_before
+
+
+def test_another_choice_of_pairs_registers_no_pair_again(files, whole, tmp_path):
+    out = tmp_path / "out"
+    subprocess.run(["cp", "-rp", whole, out], check=True)
+    voted = RegisterOptions(candidates=CandidateOptions(exhaustive_up_to=1))
+    run = register_files(files, out, voted)
+    # Overlapping measurements are voted for.
+    assert run.reused["pairs"] == (3, 3)
+    assert content(out) != content(whole)  # the options stand in it
 
 
 def test_worker_processes_give_the_same_bytes_even_if_one_is_killed(files, whole, tmp_path):

@@ -17,7 +17,7 @@ from planish.options import thread_count
 from planish.pipeline.options import RegisterOptions
 from planish.pipeline.stages import centroid, some_points
 from planish.pipeline.versions import versions
-from planish.registration.candidates import candidate_pairs
+from planish.registration.candidates.choose import candidate_pairs, possible_pairs
 from planish.registration.network.build import Node, build_network
 from planish.registration.network.given import Given
 from planish.registration.pair import (
@@ -176,10 +176,11 @@ def _prepare_all(
 def _register_pairs(
     prepared: Mapping[str, Prepared], options: RegisterOptions, threads: int, say: Progress
 ) -> list[PairResult]:
-    tried = candidate_pairs({name: item.keypoints for name, item in prepared.items()})
+    tried = candidate_pairs({name: item.keypoints for name, item in prepared.items()}, options.candidates)
+    in_run = possible_pairs(len(prepared))
 
     def one(pair: tuple[str, str], own: int) -> PairResult:
-        return register_pair(prepared[pair[0]], prepared[pair[1]], options, len(tried), own)
+        return register_pair(prepared[pair[0]], prepared[pair[1]], options, in_run, own)
 
     return _parallel(tried, one, "pairs", threads, say)
 

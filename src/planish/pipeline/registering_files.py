@@ -33,7 +33,7 @@ from planish.pipeline.stages import (
     sum_pattern,
 )
 from planish.pipeline.versions import versions
-from planish.registration.candidates import candidate_pairs
+from planish.registration.candidates.choose import candidate_pairs, possible_pairs
 from planish.registration.keypoints.keypoints import Keypoints
 from planish.registration.network.build import Node, build_network
 from planish.registration.pair import Prepared, length_factor, median_gsd, texture_pitch
@@ -224,8 +224,8 @@ class _Run:
         pitch = texture_pitch(self.frozen.gsd_mm)
         views = {name: View.of(store, sources[name], pitch, options, patterns.get(name)) for name in sorted(sources)}
         self._count("texture", find_keypoints, list(views.values()))
-        tried = self._tried(views, batches)
-        pairs = self._pairs(views, tried, options)
+        tried = self._tried(views, batches, options)
+        pairs = self._pairs(views, batches, tried, options)
         results = self._register(pairs)
         nodes = self._nodes([sources[name] for name in views], given.surface is not None)
         costs = pair_costs(PreparedViews(views, self.executor.slots), options, self.executor.slots)
@@ -281,19 +281,25 @@ class _Run:
         points = dict(self.executor.map(points_of, sources)) if with_points else {}
         return [Node(s.name, s.path.name, s.sha256, s.centroid_sensor, points.get(i)) for i, s in enumerate(sources)]
 
-    def _tried(self, views: Mapping[str, View], batches: Sequence[Sequence[str]]) -> list[list[tuple[str, str]]]:
+    def _tried(
+        self, views: Mapping[str, View], batches: Sequence[Sequence[str]], options: RegisterOptions
+    ) -> list[list[tuple[str, str]]]:
         """Return the pairs to try, per batch; those of batches that are registered are known."""
         tried = [list(batch.pairs) for batch in self.frozen.batches]
         new = None if not tried else set(batches[-1])
-        return [*tried, candidate_pairs(KeypointFiles(views), new)]
+        return [*tried, candidate_pairs(KeypointFiles(views), options.candidates, new)]
 
     def _pairs(
-        self, views: Mapping[str, View], tried: Sequence[Sequence[tuple[str, str]]], options: RegisterOptions
+        self,
+        views: Mapping[str, View],
+        batches: Sequence[Sequence[str]],
+        tried: Sequence[Sequence[tuple[str, str]]],
+        options: RegisterOptions,
     ) -> dict[tuple[str, str], PairStage]:
-        """Return all pairs; a batch's chance of false alarms counts the pairs of the run as it was then."""
+        """Return all pairs; a batch's chance of false alarms counts the possible pairs of the run as it was then."""
         pairs: dict[tuple[str, str], PairStage] = {}
         for number, batch in enumerate(tried):
-            in_run = sum(len(part) for part in tried[: number + 1])
+            in_run = possible_pairs(sum(len(part) for part in batches[: number + 1]))
             pairs |= {(a, b): PairStage.of(views[a], views[b], options, in_run) for a, b in batch}
         return pairs
 

@@ -248,7 +248,7 @@ class Overlap:
 
 @dataclass(frozen=True)
 class PairStage:
-    """A pair to be tried, in a run of `pairs_in_run` pairs."""
+    """A pair to be tried, in a run whose measurements have `pairs_in_run` pairs."""
 
     a: View
     b: View
@@ -259,7 +259,7 @@ class PairStage:
     @classmethod
     def of(cls, a: View, b: View, options: RegisterOptions, pairs_in_run: int) -> PairStage:
         """Return the pair with the key of its result."""
-        read = options.model_dump(mode="json", exclude={"network"})
+        read = options.model_dump(mode="json", exclude={"candidates", "network"})
         return cls(a, b, options, pairs_in_run, content_key(PAIRS, a.key, b.key, read, pairs_in_run))
 
     @property
