@@ -83,15 +83,21 @@ inline void prefetch([[maybe_unused]] const void* place) {
 #endif
 }
 
+/// Pixels of b that are moved into a together: so many the compiler takes at once, and so long does memory take to
+/// answer what is asked for.
+constexpr int kAhead = 16;
+
 /// Where a pixel of b, moved into a, meets the surface of a.
 struct Meeting {
     int v = 0, u = 0;              ///< the pixel of b
     Eigen::Vector3d x, in_camera;  ///< the point of b, in frame a and in a's camera
+    Eigen::Array4f x_float;        ///< and 0
     Eigen::Vector2d at;            ///< its pixel there
     Cell cell;
     Eigen::Vector3f normal_a, normal_b;  ///< in frame a
     Eigen::Vector3f gradient_a;          ///< of a's texture
     float variance_texture = 0;          ///< of a's texture
+    float variance_distance = 0;         ///< of a's points along the normal [mm^2]
     float blur_a = 0;                    ///< displacement of a's surface by the blur [mm]
     float distance = 0;                  ///< along a's normal [mm]
     float sigma = 0;                     ///< its standard deviation [mm]
@@ -101,78 +107,126 @@ struct Meeting {
 struct JointPair {
     const JointMaps &a, &b;
     const Camera& camera;
-    Eigen::Matrix3d R;
+    Eigen::Matrix3d R, R_camera_b;
     Eigen::Matrix3f R_float;
-    Eigen::Vector3d t, about;
+    Eigen::Vector3d t, t_camera_b, about;
     JointOptions o;
 
     JointPair(const JointMaps& a_, const Camera& camera_, const JointMaps& b_, const Eigen::Matrix3d& R_,
               const Eigen::Vector3d& t_, const Eigen::Vector3d& about_, const JointOptions& o_)
-        : a(a_), b(b_), camera(camera_), R(R_), R_float(R_.cast<float>()), t(t_), about(about_), o(o_) {}
+        : a(a_),
+          b(b_),
+          camera(camera_),
+          R(R_),
+          R_camera_b(camera_.R_camera_sensor * R_),
+          R_float(R_.cast<float>()),
+          t(t_),
+          t_camera_b(camera_.to_camera(t_)),
+          about(about_),
+          o(o_) {}
 
-    /// Finds where pixel (v, u) of b lies in a's image; false where there is nothing to be compared with.
-    [[nodiscard]] bool find(int v, int u, Meeting& m) const {
-        const float* p = b.values.at(v, u);
-        if (std::isnan(p[2]) || *b.use.at(v, u) == 0) return false;
-        m.x = R * vector_of(p, joint::point) + t;
-        m.in_camera = camera.to_camera(m.x);
-        if (!(m.in_camera.z() > 0)) return false;
-        const double over_z = 1.0 / m.in_camera.z();
-        m.at = camera.to_pixel(camera.distort({m.in_camera.x() * over_z, m.in_camera.y() * over_z}));
-        if (!(m.at.x() >= 1 && m.at.y() >= 1 && m.at.x() < a.values.width - 2 && m.at.y() < a.values.height - 2))
-            return false;
-        m.cell = Cell(m.at.x(), m.at.y());
-        m.v = v;
-        m.u = u;
-        return *a.use.at(m.cell.v, m.cell.u) != 0;
+    /// Finds where pixels of b from (v, u) on, up to `kAhead` of them before column `end`, lie in a's image. Returns
+    /// the number of those that can be compared; `u` then is the next pixel.
+    [[nodiscard]] int find(int v, int& u, int end, std::array<Meeting, kAhead>& found) const {
+        std::array<int, kAhead> columns{};
+        std::array<double, kAhead> x{}, y{}, z{}, at_x, at_y;
+        int count = 0;
+        const std::ptrdiff_t below = v + o.stride < b.values.height ? b.values.at(o.stride, 0) - b.values.at(0, 0) : 0;
+        for (; u < end && count < kAhead; u += o.stride) {
+            const float* p = b.values.at(v, u);
+            prefetch(p + below);
+            if (std::isnan(p[2]) || *b.use.at(v, u) == 0) continue;
+            columns[count] = u;
+            x[count] = p[0];
+            y[count] = p[1];
+            z[count] = p[2];
+            ++count;
+        }
+        if (count == 0) return 0;
+        project(x, y, z, at_x, at_y);
+        int met = 0;
+        const double right = a.values.width - 2, bottom = a.values.height - 2;
+        for (int i = 0; i < count; ++i) {
+            if (!(z[i] > 0 && at_x[i] >= 1 && at_y[i] >= 1 && at_x[i] < right && at_y[i] < bottom)) continue;
+            Meeting& m = found[met];
+            m.cell = Cell(at_x[i], at_y[i]);
+            if (*a.use.at(m.cell.v, m.cell.u) == 0) continue;
+            m.v = v;
+            m.u = columns[i];
+            m.at = {at_x[i], at_y[i]};
+            m.in_camera = {x[i], y[i], z[i]};
+            m.x = R * vector_of(b.values.at(v, m.u), joint::point) + t;
+            m.x_float << m.x.cast<float>().array(), 0.0F;
+            prefetch_around(m);
+            ++met;
+        }
+        return met;
+    }
+
+    /// The surface between four pixels: half way between the chord through their points, which cuts a curved surface
+    /// off, and their planes, which exceed it by as much: exact to the second order.
+    void look_up(Meeting& m) const {
+        const auto corners = m.cell.corners(a.values);
+        using Four = Eigen::Array4f;
+        // Three times four channels: point and its variance, normal and the texture's variance, gradient and blur.
+        Four normals = Four::Zero(), gradients = Four::Zero(), chord = Four::Zero(), planes = Four::Zero();
+        const Four x = m.x_float;
+        for (int k = 0; k < 4; ++k) {
+            const float w = m.cell.w[k];
+            const Four q = Four::Map(corners[k]), n = Four::Map(corners[k] + 4), g = Four::Map(corners[k] + 8);
+            const Four off = w * (x - q);
+            planes += n * off;
+            chord += off;
+            normals += w * n;
+            gradients += w * g;
+        }
+        const Four both = planes + normals * chord;
+        m.normal_a = normals.head<3>();
+        m.gradient_a = gradients.head<3>();
+        m.blur_a = gradients[3];
+        m.variance_texture = normals[3];
+        m.variance_distance = -chord[3];
+        m.distance = 0.5F * (both[0] + both[1] + both[2]);
+    }
+
+    /// Looks a's surface up; false where there is none, or the two would hide or pierce one another.
+    [[nodiscard]] bool compare(Meeting& m) const {
+        const float* p = b.values.at(m.v, m.u);
+        look_up(m);
+        if (std::isnan(m.distance)) return false;
+        m.normal_b = R_float * Eigen::Vector3f(p[joint::normal], p[joint::normal + 1], p[joint::normal + 2]);
+        m.sigma = std::sqrt(m.variance_distance + p[joint::variance_distance]);
+        return std::fabs(m.distance) <= o.max_distance && m.normal_a.dot(m.normal_b) >= o.min_cosine;
+    }
+
+  private:
+    using Ahead = std::array<double, kAhead>;
+
+    /// Moves points of b into a's camera, in place, and projects them: what `Camera` does, for all at once.
+    void project(Ahead& x, Ahead& y, Ahead& z, Ahead& at_x, Ahead& at_y) const {
+        const Camera c = camera;
+        const Eigen::Matrix3d M = R_camera_b;
+        const Eigen::Vector3d s = t_camera_b;
+        for (int i = 0; i < kAhead; ++i) {
+            const double px = x[i], py = y[i], pz = z[i];
+            x[i] = M(0, 0) * px + M(0, 1) * py + M(0, 2) * pz + s[0];
+            y[i] = M(1, 0) * px + M(1, 1) * py + M(1, 2) * pz + s[1];
+            z[i] = M(2, 0) * px + M(2, 1) * py + M(2, 2) * pz + s[2];
+            const double over_z = 1.0 / z[i];
+            const Eigen::Vector2d pixel = c.to_pixel(c.distort({x[i] * over_z, y[i] * over_z}));
+            at_x[i] = pixel[0];
+            at_y[i] = pixel[1];
+        }
     }
 
     /// Asks for what `compare` reads of a.
-    void prepare(const Meeting& m) const {
+    void prefetch_around(const Meeting& m) const {
         for (int row = 0; row < 2; ++row) {
             const float* p = a.values.at(m.cell.v + row, m.cell.u);
             prefetch(p);
             prefetch(p + 2 * joint::channels - 1);
         }
         for (int row = -1; row < 3; ++row) prefetch(a.texture.at(m.cell.v + row, m.cell.u));
-    }
-
-    /// Looks a's surface up; false where there is none, or the two would hide or pierce one another.
-    [[nodiscard]] bool compare(Meeting& m) const {
-        const float* p = b.values.at(m.v, m.u);
-        const float variance_a = look_up(m);
-        if (std::isnan(m.distance)) return false;
-        m.normal_b = R_float * Eigen::Vector3f(p[joint::normal], p[joint::normal + 1], p[joint::normal + 2]);
-        m.sigma = std::sqrt(variance_a + p[joint::variance_distance]);
-        return std::fabs(m.distance) <= o.max_distance && m.normal_a.dot(m.normal_b) >= o.min_cosine;
-    }
-
-  private:
-    /// The surface between four pixels: half way between the chord through their points, which cuts a curved surface
-    /// off, and their planes, which exceed it by as much: exact to the second order. Returns the variance of a's points
-    /// along the normal.
-    float look_up(Meeting& m) const {
-        const auto corners = m.cell.corners(a.values);
-        using Four = Eigen::Array4f;
-        // Three times four channels: point and its variance, normal and the texture's variance, gradient.
-        Four normals = Four::Zero(), gradients = Four::Zero(), chord = Four::Zero(), planes = Four::Zero();
-        const Eigen::Array4d x(m.x[0], m.x[1], m.x[2], 0);
-        for (int k = 0; k < 4; ++k) {
-            const float w = m.cell.w[k];
-            const Four q = Four::Map(corners[k]), n = Four::Map(corners[k] + 4), g = Four::Map(corners[k] + 8);
-            const Four off = (x - q.cast<double>()).cast<float>();
-            planes += w * n * off;
-            chord += w * off;
-            normals += w * n;
-            gradients += w * g;
-        }
-        const Four chords = normals * chord;
-        m.normal_a = normals.head<3>();
-        m.gradient_a = gradients.head<3>();
-        m.blur_a = gradients[3];
-        m.variance_texture = normals[3];
-        m.distance = 0.5F * (planes[0] + planes[1] + planes[2] + chords[0] + chords[1] + chords[2]);
-        return -chord[3];
     }
 };
 
