@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "core/joint.hpp"
+#include "core/moved_camera.hpp"
 
 namespace planish {
 
@@ -83,10 +84,6 @@ inline void prefetch([[maybe_unused]] const void* place) {
 #endif
 }
 
-/// Pixels of b that are moved into a together: so many the compiler takes at once, and so long does memory take to
-/// answer what is asked for.
-constexpr int kAhead = 16;
-
 /// Where a pixel of b, moved into a, meets the surface of a.
 struct Meeting {
     int v = 0, u = 0;              ///< the pixel of b
@@ -107,9 +104,10 @@ struct Meeting {
 struct JointPair {
     const JointMaps &a, &b;
     const Camera& camera;
-    Eigen::Matrix3d R, R_camera_b;
+    Eigen::Matrix3d R;
     Eigen::Matrix3f R_float;
-    Eigen::Vector3d t, t_camera_b, about;
+    Eigen::Vector3d t, about;
+    MovedCamera to_a;
     JointOptions o;
 
     JointPair(const JointMaps& a_, const Camera& camera_, const JointMaps& b_, const Eigen::Matrix3d& R_,
@@ -118,43 +116,42 @@ struct JointPair {
           b(b_),
           camera(camera_),
           R(R_),
-          R_camera_b(camera_.R_camera_sensor * R_),
           R_float(R_.cast<float>()),
           t(t_),
-          t_camera_b(camera_.to_camera(t_)),
           about(about_),
+          to_a(camera_, R_, t_),
           o(o_) {}
 
     /// Finds where pixels of b from (v, u) on, up to `kAhead` of them before column `end`, lie in a's image. Returns
     /// the number of those that can be compared; `u` then is the next pixel.
     [[nodiscard]] int find(int v, int& u, int end, std::array<Meeting, kAhead>& found) const {
         std::array<int, kAhead> columns{};
-        std::array<double, kAhead> x{}, y{}, z{}, at_x, at_y;
+        Places p;
         int count = 0;
         const std::ptrdiff_t below = v + o.stride < b.values.height ? b.values.at(o.stride, 0) - b.values.at(0, 0) : 0;
         for (; u < end && count < kAhead; u += o.stride) {
-            const float* p = b.values.at(v, u);
-            prefetch(p + below);
-            if (std::isnan(p[2]) || *b.use.at(v, u) == 0) continue;
+            const float* point = b.values.at(v, u);
+            prefetch(point + below);
+            if (std::isnan(point[2]) || *b.use.at(v, u) == 0) continue;
             columns[count] = u;
-            x[count] = p[0];
-            y[count] = p[1];
-            z[count] = p[2];
+            p.x[count] = point[0];
+            p.y[count] = point[1];
+            p.z[count] = point[2];
             ++count;
         }
         if (count == 0) return 0;
-        project(x, y, z, at_x, at_y);
+        to_a.project(p);
         int met = 0;
         const double right = a.values.width - 2, bottom = a.values.height - 2;
         for (int i = 0; i < count; ++i) {
-            if (!(z[i] > 0 && at_x[i] >= 1 && at_y[i] >= 1 && at_x[i] < right && at_y[i] < bottom)) continue;
+            if (!(p.z[i] > 0 && p.u[i] >= 1 && p.v[i] >= 1 && p.u[i] < right && p.v[i] < bottom)) continue;
             Meeting& m = found[met];
-            m.cell = Cell(at_x[i], at_y[i]);
+            m.cell = Cell(p.u[i], p.v[i]);
             if (*a.use.at(m.cell.v, m.cell.u) == 0) continue;
             m.v = v;
             m.u = columns[i];
-            m.at = {at_x[i], at_y[i]};
-            m.in_camera = {x[i], y[i], z[i]};
+            m.at = {p.u[i], p.v[i]};
+            m.in_camera = {p.x[i], p.y[i], p.z[i]};
             m.x = R * vector_of(b.values.at(v, m.u), joint::point) + t;
             m.x_float << m.x.cast<float>().array(), 0.0F;
             prefetch_around(m);
@@ -200,25 +197,6 @@ struct JointPair {
     }
 
   private:
-    using Ahead = std::array<double, kAhead>;
-
-    /// Moves points of b into a's camera, in place, and projects them: what `Camera` does, for all at once.
-    void project(Ahead& x, Ahead& y, Ahead& z, Ahead& at_x, Ahead& at_y) const {
-        const Camera c = camera;
-        const Eigen::Matrix3d M = R_camera_b;
-        const Eigen::Vector3d s = t_camera_b;
-        for (int i = 0; i < kAhead; ++i) {
-            const double px = x[i], py = y[i], pz = z[i];
-            x[i] = M(0, 0) * px + M(0, 1) * py + M(0, 2) * pz + s[0];
-            y[i] = M(1, 0) * px + M(1, 1) * py + M(1, 2) * pz + s[1];
-            z[i] = M(2, 0) * px + M(2, 1) * py + M(2, 2) * pz + s[2];
-            const double over_z = 1.0 / z[i];
-            const Eigen::Vector2d pixel = c.to_pixel(c.distort({x[i] * over_z, y[i] * over_z}));
-            at_x[i] = pixel[0];
-            at_y[i] = pixel[1];
-        }
-    }
-
     /// Asks for what `compare` reads of a.
     void prefetch_around(const Meeting& m) const {
         for (int row = 0; row < 2; ++row) {

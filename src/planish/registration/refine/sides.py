@@ -72,8 +72,9 @@ class JointSide:
 def held_out_pixels(measurement: Measurement) -> NDArray[np.bool_]:
     """Return the pixels (H, W) of the tiles that take no part in any fit against this measurement."""
     size = tile_size_px(measurement)
-    rows, columns = np.indices(measurement.shape) // size
-    return held_out(rows, columns)
+    height, width = measurement.shape
+    of_tiles = held_out(*np.indices((-(-height // size), -(-width // size))))
+    return of_tiles.repeat(size, 0).repeat(size, 1)[:height, :width]
 
 
 def joint_sides(
