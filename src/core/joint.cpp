@@ -222,13 +222,12 @@ void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& 
             batch.count = 0;
         }
     };
-    for (int v = top; v < bottom; v += o.stride)
-        for (int u = left; u < right;) {
-            const int next = find(v, u, right, found[1 - turn]);
-            compare_waiting();
-            waiting = next;
-            turn = 1 - turn;
-        }
+    for (Cursor next(top, left, bottom, right); !next.done();) {
+        const int coming = find(next, found[1 - turn]);
+        compare_waiting();
+        waiting = coming;
+        turn = 1 - turn;
+    }
     compare_waiting();
     add(batch, weights, tile);
     tile.distance.add_to(sums.distance, sums.H_distance_unbiased, gradients, 0, &sizes[0]);

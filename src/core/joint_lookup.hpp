@@ -100,6 +100,21 @@ struct Meeting {
     float sigma = 0;                     ///< its standard deviation [mm]
 };
 
+/// The next pixel of a window, row by row.
+struct Cursor {
+    int left, right, bottom, v, u;
+
+    Cursor(int top, int left_, int bottom_, int right_)
+        : left(left_), right(right_), bottom(bottom_), v(top), u(left_) {}
+    [[nodiscard]] bool done() const { return v >= bottom; }
+    void advance(int stride) {
+        u += stride;
+        if (u < right) return;
+        u = left;
+        v += stride;
+    }
+};
+
 /// One measurement b against another one a.
 struct JointPair {
     const JointMaps &a, &b;
@@ -122,18 +137,18 @@ struct JointPair {
           to_a(camera_, R_, t_),
           o(o_) {}
 
-    /// Finds where pixels of b from (v, u) on, up to `kAhead` of them before column `end`, lie in a's image. Returns
-    /// the number of those that can be compared; `u` then is the next pixel.
-    [[nodiscard]] int find(int v, int& u, int end, std::array<Meeting, kAhead>& found) const {
-        std::array<int, kAhead> columns{};
+    /// Finds where the next pixels of b, up to `kAhead` of them, lie in a's image. Returns the number of those that can
+    /// be compared.
+    [[nodiscard]] int find(Cursor& next, std::array<Meeting, kAhead>& found) const {
+        std::array<int, kAhead> rows{}, columns{};
         Places p;
         int count = 0;
-        const std::ptrdiff_t below = v + o.stride < b.values.height ? b.values.at(o.stride, 0) - b.values.at(0, 0) : 0;
-        for (; u < end && count < kAhead; u += o.stride) {
-            const float* point = b.values.at(v, u);
-            prefetch(point + below);
-            if (std::isnan(point[2]) || *b.use.at(v, u) == 0) continue;
-            columns[count] = u;
+        for (; count < kAhead && next.v < next.bottom; next.advance(o.stride)) {
+            const float* point = b.values.at(next.v, next.u);
+            if (next.v + o.stride < next.bottom) prefetch(b.values.at(next.v + o.stride, next.u));
+            if (std::isnan(point[2]) || *b.use.at(next.v, next.u) == 0) continue;
+            rows[count] = next.v;
+            columns[count] = next.u;
             p.x[count] = point[0];
             p.y[count] = point[1];
             p.z[count] = point[2];
@@ -148,11 +163,11 @@ struct JointPair {
             Meeting& m = found[met];
             m.cell = Cell(p.u[i], p.v[i]);
             if (*a.use.at(m.cell.v, m.cell.u) == 0) continue;
-            m.v = v;
+            m.v = rows[i];
             m.u = columns[i];
             m.at = {p.u[i], p.v[i]};
             m.in_camera = {p.x[i], p.y[i], p.z[i]};
-            m.x = R * vector_of(b.values.at(v, m.u), joint::point) + t;
+            m.x = R * vector_of(b.values.at(m.v, m.u), joint::point) + t;
             m.x_float << m.x.cast<float>().array(), 0.0F;
             prefetch_around(m);
             ++met;

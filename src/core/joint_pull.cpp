@@ -122,8 +122,8 @@ JointPull joint_pull(const JointMaps& a, const Camera& camera_a, const JointMaps
         std::array<Meeting, kAhead> found;
         for (int v = static_cast<int>(begin) * tile; v < std::min(height, static_cast<int>(end) * tile);
              v += options.stride)
-            for (int next = 0; next < width;) {
-                const int count = problem.find(v, next, width, found);
+            for (Cursor next(v, 0, v + 1, width); !next.done();) {
+                const int count = problem.find(next, found);
                 for (int i = 0; i < count; ++i) {
                     Meeting& m = found[i];
                     if (!problem.compare(m)) continue;
