@@ -164,16 +164,17 @@ def log10_by_windows(windows: Windows) -> float:
 
     Under chance a peak stands anywhere in the search area. Where textures are alike over more than a window (lines,
     streaks, patterns), peaks come in clusters: numbers are divided by their dispersion. All windows are asked, and
-    those of the most signal, which does not depend on where the peaks stand; the best counts, times their number.
+    those of the most signal, which does not depend on where the peaks stand, and the sum of all correlations
+    (`Together`), for weak texture whose peaks are lost in noise; the best counts, times their number.
     """
     factor = dispersion(windows)
     order = np.argsort(-windows.expected, kind="stable")
-    tails = []
+    tails = [windows.together.log10_chance()]
     for share in _RICHEST:
         agrees = windows.agrees[order[: int(np.ceil(share * len(order)))]]
         trials = int(len(agrees) / factor)
         tails.append(log10_binomial_tail(min(trials, int(agrees.sum() / factor)), trials, windows.chance))
-    return float(min(0.0, min(tails) + np.log10(len(_RICHEST))))
+    return float(min(0.0, min(tails) + np.log10(len(tails))))
 
 
 #: Shares of the windows, those of the most signal first: sparse marks on a blank part fill few windows.
