@@ -248,6 +248,16 @@ def test_a_sum_that_is_higher_elsewhere_speaks_for_nothing():
     assert Together.of(surface, surfaces(rng, 150), NEAR).log10_chance() == 0.0
 
 
+def test_few_windows_with_texture_tell_it_among_many_without():
+    rng = np.random.default_rng(0)
+    surface, agrees = surfaces(rng, 200), np.zeros(200, bool)
+    surface[::8, REACH, REACH] += 2.0
+    together = Together.of(surface, surfaces(rng, 200), NEAR)
+    even = replace(windows(rng.uniform(-4, 4, (200, 2)), agrees, 0.05), together=together)
+    richest = replace(even, richness=np.where(np.arange(200) % 8 == 0, 1.2, 1.0))
+    assert log10_by_windows(richest) < log10_by_windows(even) - 5
+
+
 def test_windows_that_are_alike_count_less_together():
     rng = np.random.default_rng(0)
     surface, unrelated = surfaces(rng, 150), surfaces(rng, 150)

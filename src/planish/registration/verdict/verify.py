@@ -62,8 +62,9 @@ class Windows:
         Whether the peak lies within `agree_mm`.
     chance : float
         Share of the search area that counts as agreement.
-    expected : ndarray (n,)
-        Correlation that the noise alone leaves of two pictures of one texture (1 = no noise).
+    richness : ndarray (n,)
+        Variance of both textures over that of their noise. Not what exceeds the noise: where texture is weak, the
+        uncertainty of the noise would make all windows alike.
     together : Together
         How high the correlation is at every place of the search area, for the test of all windows in one.
     """
@@ -77,7 +78,7 @@ class Windows:
     score: Array
     agrees: NDArray[np.bool_]
     chance: float
-    expected: Array
+    richness: Array
     together: Together
 
     def __len__(self) -> int:
@@ -113,7 +114,7 @@ def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | N
     if not cut:
         return _no_windows(near)
     value_a, value_b, noise = (np.concatenate([getattr(part, name) for _, part in cut]) for name in ("a", "b", "noise"))
-    surface, unrelated, expected = _correlation(value_a, value_b, noise, window, search)
+    surface, unrelated, richness = _correlation(value_a, value_b, noise, window, search)
     flat = surface.reshape(len(surface), -1)
     peak = np.argmax(flat, 1)
     offset_px = _refined_peak(surface, peak, search)
@@ -125,7 +126,7 @@ def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | N
     cell, points, pixels_a, pixels_b, found_b = (np.concatenate(x) for x in zip(*places, strict=True))
     return Windows(
         cell, points, pixels_a, pixels_b, found_b, offset_px * pitch, flat[:, near].max(1), near[peak],
-        float(near.mean()), expected, Together.of(surface, unrelated, near),
+        float(near.mean()), richness, Together.of(surface, unrelated, near),
     )  # fmt: skip
 
 
@@ -277,10 +278,8 @@ def _correlation(a: Map, b: Map, noise: Array, window: int, search: int) -> tupl
     twice[:, 0] = 1.0
     energy_a, energy_b = ((np.abs(F) ** 2 * (weight * twice)).sum((1, 2)) / size**2 for F in (F_a, F_b))
     surface /= (np.sqrt(energy_a * energy_b) * window / size)[:, None, None] + 1e-30
-    variance_a = (a**2).sum((1, 2)) / window**2
-    variance_b = (b**2).mean((1, 2))
-    variance = np.maximum(np.column_stack([variance_a, variance_b]), 1e-30)
-    return surface, unrelated, np.sqrt(np.clip(1 - noise / variance, 0, 1).prod(1))
+    variance = (a**2).sum((1, 2)) / window**2 * (b**2).mean((1, 2))
+    return surface, unrelated, variance / np.maximum(noise.prod(1), 1e-30)
 
 
 #: Share of the power that counts as signal at least.
