@@ -1,4 +1,4 @@
-"""The texture kernels in NumPy: slow, short, from the definitions in src/core/{contrast,chart,fixed_pattern,local_plane}.hpp."""
+"""The texture kernels in NumPy: slow, short, from the definitions in their headers in src/core/."""
 
 from __future__ import annotations
 

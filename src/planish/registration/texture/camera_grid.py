@@ -38,8 +38,8 @@ def from_camera_blocks(measurement: Measurement, name: str, maps: Sequence[Map],
     places = lowpass.centres(correspondence(measurement, name))
     places = (places + np.float32(0.5)) / np.float32(lowpass.factor) - np.float32(0.5)
     u, v = (np.nan_to_num(np.ascontiguousarray(places[..., i]), nan=-1e4) for i in (0, 1))
-    beyond = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": float("nan")}
-    return tuple(cv2.remap(blocks, u, v, cv2.INTER_LINEAR, **beyond) for blocks in maps)
+    constant, unknown = cv2.BORDER_CONSTANT, float("nan")
+    return tuple(cv2.remap(blocks, u, v, cv2.INTER_LINEAR, borderMode=constant, borderValue=unknown) for blocks in maps)
 
 
 def correspondence(measurement: Measurement, name: str) -> Map:

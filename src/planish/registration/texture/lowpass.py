@@ -63,8 +63,8 @@ class Lowpass:
         reach = round(_REACH_SIGMAS * self._sigma_blocks)
         bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / self._sigma_blocks) ** 2)
         least, thin = _MIN_DENSITY * self.factor**2, _THIN * self._sigma_blocks**2
-        maps = (np.ascontiguousarray(m, np.float32) for m in (total, weight))
-        return _core.local_planes(*maps, (bell / bell.sum()).tolist(), least, thin, _STEEPEST, self.threads)
+        total, weight = np.ascontiguousarray(total, np.float32), np.ascontiguousarray(weight, np.float32)
+        return _core.local_planes(total, weight, (bell / bell.sum()).tolist(), least, thin, _STEEPEST, self.threads)
 
     @property
     def _sigma_blocks(self) -> float:
