@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import resource
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -58,8 +57,9 @@ def peak_mib(files: tuple[Path, Path], options: RegisterOptions, pitch_mm: float
     """Return the largest memory [MiB] of a worker that reads, prepares and registers two measurements."""
     first, second = (prepare(Measurement.load(file), pitch_mm, options, 1) for file in files)
     register_pair(first, second, options, 1, 1)
-    # ru_maxrss counts kilobytes on Linux.
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    # Not ru_maxrss: a process inherits that from the one that has started it, here with images and peers in memory.
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(status["VmHWM"].split()[0]) / 1024
 
 
 def worker_memory(a: Measurement, b: Measurement, options: RegisterOptions, pitch_mm: float) -> float:
