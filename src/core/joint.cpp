@@ -205,6 +205,7 @@ struct Problem : JointPair {
 /// All pixels of a tile: they lie close together in a, too, whichever way it is turned.
 void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
                        std::array<double, 4>& sizes, Batch& batch) const {
+    if (weights[0].weight == 0 && weights[1].weight == 0) return;
     TileSums tile;
     batch.count = 0;
     bool met = false;
