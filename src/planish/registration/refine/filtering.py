@@ -10,6 +10,7 @@ from scipy import fft
 from planish.measurement import Map
 from planish.registration.refine.spectrum import texture_spectrum
 
+
 @dataclass(frozen=True)
 class FilteredTexture:
     """A filtered texture.
@@ -26,9 +27,7 @@ class FilteredTexture:
     noise_passed: float
 
 
-def filter_texture(
-    value: Map, sigma: Map, shading_px: float, apart: tuple[Map, Map] | None = None
-) -> FilteredTexture:
+def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, Map] | None = None) -> FilteredTexture:
     """Return a texture (H, W), NaN where unknown, filtered such that least squares are the most likely shift.
 
     Parameters

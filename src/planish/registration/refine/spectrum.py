@@ -18,8 +18,8 @@ from scipy import fft
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
 
-#: Scales over which spectra are averaged (standard deviation) [cycles per pixel]: by the first the spectrum of a grain as
-#: long as 40 px is resolved; the second finds what is too weak for that.
+#: Scales over which spectra are averaged (standard deviation) [cycles per pixel]: by the first the spectrum of a grain
+#: as long as 40 px is resolved; the second finds what is too weak for that.
 _RESOLUTIONS = 0.004, 0.016
 #: Power counts as texture where it exceeds what noise makes of it by more than so many of its standard deviations.
 _SIGNIFICANT = 2.0
@@ -63,7 +63,7 @@ def texture_spectrum(
         noise = np.clip(np.quantile(power, _QUIET), 1.0, _MOST_NOISE)
         chance = noise / _root_of_averaged(number, _RESOLUTIONS[0])
         return Spectrum(np.maximum(power - noise - _SIGNIFICANT * chance, 0), np.full_like(power, noise))
-    signal = _common(apart, size, number)
+    signal = np.maximum(_common(apart, size, number), power - _MOST_NOISE)
     return Spectrum(signal, np.clip(power - (1 + _UNCERTAIN) * signal, 1.0, _MOST_NOISE))
 
 
