@@ -41,12 +41,12 @@ using Column = Eigen::Array<float, kBatch, 1>;
 struct Batch {
     int count = 0;
     /// x, y, z of the lever; of a's, b's and the mean derivative by a displacement; the residual; its change by the
-    /// blur.
-    std::array<Column, 14> columns;
+    /// blur; of textures what gain and offset would take from it.
+    std::array<Column, 16> columns;
 
     Batch() { columns.fill(Column::Zero()); }
     void add(float residual, const Eigen::Vector3f& lever, const Eigen::Vector3f& a, const Eigen::Vector3f& b,
-             const Eigen::Vector3f& mean, float blur) {
+             const Eigen::Vector3f& mean, float blur, float gain = 0, float offset = 0) {
         for (int i = 0; i < 3; ++i) {
             columns[i][count] = lever[i];
             columns[3 + i][count] = a[i];
@@ -55,6 +55,8 @@ struct Batch {
         }
         columns[12][count] = residual;
         columns[13][count] = blur;
+        columns[14][count] = gain;
+        columns[15][count] = offset;
         ++count;
     }
     [[nodiscard]] Lanes lanes(int column, int first) const { return columns[column].segment<kLanes>(first); }
@@ -135,23 +137,69 @@ void LaneSums::add_to(Normal& sums, Matrix6& unbiased_sums, Matrix62& tile, int 
     sizes[1] += total(absolute);
 }
 
+/// Sums for `Shading`, lane by lane.
+struct ShadingSums {
+    std::array<Lanes, 6> by_gain, by_offset;
+    Lanes gains = Lanes::Zero(), both = Lanes::Zero(), offsets = Lanes::Zero();
+    Lanes gain_residual = Lanes::Zero(), offset_residual = Lanes::Zero();
+
+    ShadingSums() {
+        by_gain.fill(Lanes::Zero());
+        by_offset.fill(Lanes::Zero());
+    }
+    void add(const Batch& batch, const TileWeight& weight);
+    void add_to(Shading& sums) const;
+};
+
+void ShadingSums::add(const Batch& batch, const TileWeight& weight) {
+    const float over_scale = 1.0F / (kTukey * weight.scale);
+    const Lanes number = Lanes::LinSpaced(kLanes, 0, kLanes - 1);
+    for (int first = 0; first < batch.count; first += kLanes) {
+        const auto J = batch.jacobian(9, first);
+        const Lanes there = (static_cast<float>(batch.count - first) - number).max(0.0F).min(1.0F);
+        const Lanes r = batch.lanes(12, first), m = batch.lanes(14, first), q = batch.lanes(15, first);
+        const Lanes w = weight.weight * ((1.0F - (r * over_scale).square()).max(0.0F) * there).square();
+        const Lanes wm = w * m, wq = w * q;
+        gains += wm * m;
+        both += wm * q;
+        offsets += wq * q;
+        gain_residual += wm * r;
+        offset_residual += wq * r;
+        for (int i = 0; i < 6; ++i) {
+            by_gain[i] += wm * J[i];
+            by_offset[i] += wq * J[i];
+        }
+    }
+}
+
+void ShadingSums::add_to(Shading& sums) const {
+    for (int i = 0; i < 6; ++i) {
+        sums.change(i, 0) = total(by_gain[i]);
+        sums.change(i, 1) = total(by_offset[i]);
+    }
+    sums.square << total(gains), total(both), total(both), total(offsets);
+    sums.residual << total(gain_residual), total(offset_residual);
+}
+
 struct Problem : JointPair {
     using JointPair::JointPair;
     Image<float> distances, differences;
 
     void add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
-                  std::array<double, 4>& sizes) const;
-    void add_texture(const Meeting& m, Batch& batch, JointSums& sums) const;
+                  std::array<double, 4>& sizes, Shading& shading) const;
+    void add_texture(const Meeting& m, const TileWeight& weight, Batch& batch, JointSums& sums) const;
 };
 
 /// All pixels of a tile: they lie close together in a, too, whichever way it is turned.
 void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
-                       std::array<double, 4>& sizes) const {
+                       std::array<double, 4>& sizes, Shading& shading) const {
     LaneSums distance, texture;
+    ShadingSums shaded;
     Batch of_distance, of_texture;
     const auto flush = [&] {
         distance.add(of_distance, weights[0]);
         texture.add(of_texture, weights[1]);
+        shaded.add(of_texture, weights[1]);
         of_distance.count = of_texture.count = 0;
     };
     const int bottom = std::min(b.values.height, top + o.tile), right = std::min(b.values.width, left + o.tile);
@@ -166,7 +214,7 @@ void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& 
                             (m.normal_a + m.normal_b).normalized() * over_sigma,
                             (b.values.at(m.v, m.u)[joint::blur] - m.blur_a) * over_sigma);
             if (!distances.empty()) *distances.at(m.v, m.u) = r;
-            add_texture(m, of_texture, sums);
+            add_texture(m, weights[1], of_texture, sums);
             if (of_distance.count == kBatch) flush();
         }
         ahead = 0;
@@ -181,18 +229,21 @@ void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& 
     flush();
     if (distance.count > 0) distance.add_to(sums.distance, sums.H_distance_unbiased, gradients, 0, &sizes[0]);
     if (texture.count > 0) texture.add_to(sums.texture, sums.H_texture_unbiased, gradients, 1, &sizes[2]);
+    if (texture.count > 0) shaded.add_to(shading);
 }
 
-void Problem::add_texture(const Meeting& m, Batch& batch, JointSums& sums) const {
+void Problem::add_texture(const Meeting& m, const TileWeight& weight, Batch& batch, JointSums& sums) const {
     const float* pb = b.values.at(m.v, m.u);
     const float value_b = *b.texture.at(m.v, m.u), value_a = cubic(a.texture, m.at.x(), m.at.y());
     const float variance = m.variance_texture + pb[joint::variance_texture];
     if (std::isnan(value_a + value_b + variance + m.gradient_a[0] + pb[joint::gradient])) return;
-    const float over_sigma = 1.0F / std::sqrt(variance), r = (value_a - value_b) * over_sigma;
-    const Eigen::Vector3f of_a = m.gradient_a * over_sigma;
+    const float over_sigma = 1.0F / std::sqrt(variance), mean = 0.5F * (value_a + value_b) * over_sigma;
+    const float r = (value_a - value_b - weight.offset) * over_sigma - weight.gain * mean;
+    const Eigen::Vector3f of_a = m.gradient_a * ((1.0F - 0.5F * weight.gain) * over_sigma);
     const Eigen::Vector3f of_b =
-        R_float * Eigen::Vector3f(pb[joint::gradient], pb[joint::gradient + 1], pb[joint::gradient + 2]) * over_sigma;
-    batch.add(r, (m.x - about).cast<float>(), of_a, of_b, 0.5F * (of_a + of_b), 0.0F);
+        R_float * Eigen::Vector3f(pb[joint::gradient], pb[joint::gradient + 1], pb[joint::gradient + 2]) *
+        ((1.0F + 0.5F * weight.gain) * over_sigma);
+    batch.add(r, (m.x - about).cast<float>(), of_a, of_b, 0.5F * (of_a + of_b), 0.0F, mean, over_sigma);
     sums.correlation_ab += value_a * value_b;
     sums.correlation_aa += value_a * value_a;
     sums.correlation_bb += value_b * value_b;
@@ -219,6 +270,7 @@ JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, c
     result.tile_columns = columns;
     result.tile_gradients.assign(tiles, Matrix62::Zero());
     result.tile_sizes.assign(tiles, {});
+    result.tile_shading.assign(tiles, {});
     // One block = one row of tiles: its tile sums belong to it alone, and the order of additions is fixed.
     result.sums = parallel_sum<JointSums>(result.tile_rows, 1, threads, [&](std::size_t row, std::size_t) {
         JointSums sums;
@@ -226,7 +278,7 @@ JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, c
         for (int column = 0; column < columns; ++column) {
             const std::size_t k = row * columns + column;
             problem.add_tile(top, column * options.tile, &weights[2 * k], sums, result.tile_gradients[k],
-                             result.tile_sizes[k]);
+                             result.tile_sizes[k], result.tile_shading[k]);
         }
         return sums;
     });
