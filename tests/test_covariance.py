@@ -19,6 +19,7 @@ from planish.registration.surface import fit_surface
 from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.tiles import tile_size_px
 from planish.registration.verdict.geometry import Sight
+from planish.registration.verdict.hypothesis import Drift
 from planish.registration.verdict.judge import VerdictOptions, judge_refined
 
 #: 14 runs of 6 parameters know a mean NEES to 15 %; interpolation at 1.3 mm per pixel adds a bias of one standard
@@ -138,7 +139,7 @@ def test_a_plate_without_texture_leaves_three_directions_loose():
     assert len(held) == len(loose) == 3
     assert max(d.sigma_mm for d in held) < 0.01
     assert min(d.sigma_mm for d in loose) > 0.2
-    assert judge_refined(found, directions, 0.1, Sight(1000, 0), VerdictOptions()).status == "refused"
+    assert judge_refined(found, directions, Drift(0.1), Sight(1000, 0), VerdictOptions()).status == "refused"
 
 
 def test_without_texture_geometry_alone_leaves_the_plate_loose():

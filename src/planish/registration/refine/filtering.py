@@ -18,7 +18,7 @@ _RESOLUTION = 0.004
 #: Power counts as texture where it exceeds the noise by more than so many standard deviations of its estimate.
 _SIGNIFICANT = 2.0
 #: What stands at the quietest tenth of the frequencies is noise, too (pixel response, interpolation), within reason.
-_QUIET, _MOST_NOISE = 0.1, 2.0
+_QUIET, MOST_NOISE = 0.1, 2.0
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,13 @@ class FilteredTexture:
         0 where nothing is known.
     noise_passed : float
         Variance of what the filter leaves of white noise of unit variance.
+    pixels_per_value : float
+        Pixels per independent value: that of a correlation with a texture of the same spectrum, by Bartlett's formula.
     """
 
     value: Map
     noise_passed: float
+    pixels_per_value: float
 
 
 def filter_texture(value: Map, sigma: Map, shading_px: float) -> FilteredTexture:
@@ -58,10 +61,10 @@ def filter_texture(value: Map, sigma: Map, shading_px: float) -> FilteredTexture
     shape = value.shape[0], value.shape[1]
     size = fft.next_fast_len(shape[0], True), fft.next_fast_len(shape[1], True)
     if not known.any():
-        return FilteredTexture(np.zeros(shape, np.float32), 1.0)
+        return FilteredTexture(np.zeros(shape, np.float32), 1.0, 1.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         power = _power(np.where(known, value / sigma, np.float32(0)), known, size)
-    noise = float(np.clip(np.quantile(power, _QUIET), 1.0, _MOST_NOISE))
+    noise = float(np.clip(np.quantile(power, _QUIET), 1.0, MOST_NOISE))
     averaged = 4 * np.pi * (_RESOLUTION**2) * float(known.sum())
     signal = np.maximum(power / noise - 1 - _SIGNIFICANT / np.sqrt(averaged), 0)
     fy, fx = np.fft.fftfreq(size[0])[:, None], np.fft.rfftfreq(size[1])[None]
@@ -75,8 +78,20 @@ def filter_texture(value: Map, sigma: Map, shading_px: float) -> FilteredTexture
     passed = 2 * weight.sum() - weight[:, 0].sum()
     least = 1.0 / weight.size
     return FilteredTexture(
-        filtered[: shape[0], : shape[1]].astype(np.float32), max(float(passed) / (size[0] * size[1]), least)
+        filtered[: shape[0], : shape[1]].astype(np.float32),
+        max(float(passed) / (size[0] * size[1]), least),
+        _pixels_per_value(power * weight, size),
     )
+
+
+def _pixels_per_value(power: Array, size: tuple[int, int]) -> float:
+    """Return sum of squares over square of the sum of a power spectrum (h, w // 2 + 1), times its frequencies.
+
+    The variance of the correlation of two unrelated textures of this spectrum is so many times that of white ones
+    (Bartlett 1935); of different spectra at most the geometric mean of both numbers (Cauchy-Schwarz), however turned.
+    """
+    first, second = (2 * (power**k).sum() - (power[:, 0] ** k).sum() for k in (1, 2))
+    return max(float(second / first**2) * size[0] * size[1], 1.0) if first > 0 else 1.0
 
 
 def _power(score: Map, known: NDArray[np.bool_], size: tuple[int, int]) -> Array:
