@@ -10,6 +10,7 @@
 #include "core/consensus.hpp"
 #include "core/joint.hpp"
 #include "core/joint_pull.hpp"
+#include "core/joint_values.hpp"
 #include "core/match.hpp"
 #include "core/patches.hpp"
 #include "core/surface.hpp"
@@ -201,14 +202,21 @@ nb::tuple joint_pull(const nb::tuple& maps_a, const In<double, 1>& camera_a, con
     return nb::make_tuple(tiles.maps(), pixels.map());
 }
 
-Out<float, 3> tangential_gradient(const In<float, 2>& texture, const In<float, 3>& tangents, int threads) {
-    const auto in = view<float, 2>(texture);
-    Owned<float> gradient(in.height, in.width, 3);
+/// Points, sigma, normals, tangents, displacement by blur, texture and its sigma: see planish::JointSources.
+Out<float, 3> joint_values(const nb::tuple& maps, const In<double, 1>& centre, double blur, double blur_sigma,
+                           int spacing, int threads) {
+    const auto three = [&](int k) { return view<float, 3>(nb::cast<In<float, 3>>(maps[k])); };
+    const auto two = [&](int k) { return view<float, 2>(nb::cast<In<float, 2>>(maps[k])); };
+    const planish::JointSources in{three(0), two(1), three(2), three(3), two(4), two(5), two(6)};
+    const planish::JointValueOptions options{Eigen::Vector3d(centre(0), centre(1), centre(2)).cast<float>(),
+                                             static_cast<float>(blur), static_cast<float>(blur_sigma), spacing};
+    const auto thinned = [&](int n) { return (n + spacing - 1) / spacing; };
+    Owned<float> values(thinned(in.points.height), thinned(in.points.width), planish::joint::channels);
     {
         nb::gil_scoped_release release;
-        planish::tangential_gradient(in, view<float, 3>(tangents), threads, gradient.image);
+        planish::joint_values(in, options, threads, values.image);
     }
-    return gradient.maps();
+    return values.maps();
 }
 
 Out<std::int32_t, 2> nearest_rows(const std::vector<planish::Nearest>& found) {
@@ -279,7 +287,6 @@ Out<double, 2> align_patches(const nb::list& charts_a, const In<double, 2>& plac
 }  // namespace
 
 void bind_registration(nb::module_& m) {
-    m.def("tangential_gradient", &tangential_gradient, "texture"_a, "tangents"_a, "threads"_a);
     m.def("nearest_descriptors", &nearest_descriptors, "a"_a, "size_a"_a, "b"_a, "size_b"_a, "max_size_ratio"_a,
           "threads"_a);
     m.def("align_patches", &align_patches, "charts_a"_a, "places_a"_a, "chart_a"_a, "charts_b"_a, "places_b"_a,
@@ -293,6 +300,7 @@ void bind_registration(nb::module_& m) {
           "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
           "options"_a, "weights"_a, "with_residuals"_a, "threads"_a);
+    m.def("joint_values", &joint_values, "maps"_a, "centre"_a, "blur"_a, "blur_sigma"_a, "spacing"_a, "threads"_a);
     m.def("joint_pull", &joint_pull, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a, "options"_a,
           "weights"_a, "threads"_a);
 }
