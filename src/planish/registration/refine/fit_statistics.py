@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.measurement import Map
-from planish.registration.refine.filtering import MOST_NOISE
 from planish.registration.refine.residuals import Weights, around, equations, tile_of
 from planish.registration.refine.sides import JointSide
 from planish.registration.refine.solve import Refined, RefineOptions
+from planish.registration.refine.spectrum import MOST_NOISE
 
 #: Every n-th pixel along both axes tells how large the residuals are.
 _STRIDE = 3
