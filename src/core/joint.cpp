@@ -237,7 +237,7 @@ struct Problem : JointPair {
     Image<float> distances, differences;
 
     void add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
-                  std::array<double, 4>& sizes, Shading& shading) const;
+                  std::array<double, 4>& sizes, Shading& shading, Batch& batch) const;
     void add(const Batch& batch, const TileWeight* weights, TileSums& sums) const;
     [[nodiscard]] Residuals compare_points(const Batch& batch, int first) const;
     [[nodiscard]] Residuals compare_textures(const Batch& batch, int first, const Lanes& there,
@@ -247,9 +247,11 @@ struct Problem : JointPair {
 
 /// All pixels of a tile: they lie close together in a, too, whichever way it is turned.
 void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
-                       std::array<double, 4>& sizes, Shading& shading) const {
+                       std::array<double, 4>& sizes, Shading& shading, Batch& batch) const {
+    if (weights[0].weight == 0 && weights[1].weight == 0) return;
     TileSums tile;
-    Batch batch;
+    batch.count = 0;
+    bool met = false;
     const int bottom = std::min(b.values.height, top + o.tile), right = std::min(b.values.width, left + o.tile);
     // While some are compared, memory answers what was asked for by the next.
     std::array<std::array<Meeting, kAhead>, 2> found;
@@ -260,6 +262,7 @@ void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& 
             look_up(m);
             if (!(std::fabs(m.distance) <= o.max_distance)) continue;
             batch.add(m, about, b.values.at(m.v, m.u), cubic(a.texture, m.at.x(), m.at.y()), *b.texture.at(m.v, m.u));
+            met = true;
             if (batch.count < kBatch) continue;
             add(batch, weights, tile);
             batch.count = 0;
@@ -272,6 +275,7 @@ void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& 
         turn = 1 - turn;
     }
     compare_waiting();
+    if (!met) return;
     add(batch, weights, tile);
     tile.distance.add_to(sums.distance, sums.H_distance_unbiased, gradients, 0, &sizes[0]);
     tile.texture.add_to(sums.texture, sums.H_texture_unbiased, gradients, 1, &sizes[2]);
@@ -366,11 +370,12 @@ JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, c
     // One block = one row of tiles: its tile sums belong to it alone, and the order of additions is fixed.
     result.sums = parallel_sum<JointSums>(result.tile_rows, 1, threads, [&](std::size_t row, std::size_t) {
         JointSums sums;
+        Batch batch;
         const int top = static_cast<int>(row) * options.tile;
         for (int column = 0; column < columns; ++column) {
             const std::size_t k = row * columns + column;
             problem.add_tile(top, column * options.tile, &weights[2 * k], sums, result.tile_gradients[k],
-                             result.tile_sizes[k], result.tile_shading[k]);
+                             result.tile_sizes[k], result.tile_shading[k], batch);
         }
         return sums;
     });

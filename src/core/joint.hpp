@@ -42,7 +42,7 @@ struct JointOptions {
 /// How residuals count in one tile of b, of one kind; of textures also what their shading is taken to be.
 struct TileWeight {
     float scale;       ///< robust standard deviation of the residuals over their noise; infinite = all weigh alike
-    float weight;      ///< of a squared residual over its noise
+    float weight;      ///< of a squared residual over its noise; a tile whose both are 0 is not looked at
     float gain = 0;    ///< relative contrast of a's texture over b's: each is corrected by half of it
     float offset = 0;  ///< of a's texture over b's
 };
