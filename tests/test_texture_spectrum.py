@@ -30,9 +30,9 @@ def test_noise_that_is_not_white_is_no_texture(rng):
     mean = sum(coloured) / np.sqrt(2)
     alone = texture_spectrum(mean, KNOWN, SIZE)
     known_apart = texture_spectrum(mean, KNOWN, SIZE, (coloured[0], coloured[1]))
-    assert (alone.signal > 0.5).mean() > 0.02
-    # Where noise alone is that strong, it is held to be texture only beyond twice what was stated.
-    assert known_apart.signal.sum() < 0.3 * alone.signal.sum()
+    assert (alone.signal > 0.5).mean() > 0.01
+    # What is left is what exceeds twice the stated noise, and chance.
+    assert known_apart.signal.sum() < 0.5 * alone.signal.sum()
     assert known_apart.noise.max() > 1.5
 
 
