@@ -11,6 +11,7 @@
 #include "core/joint.hpp"
 #include "core/joint_pull.hpp"
 #include "core/joint_values.hpp"
+#include "core/locate_texture.hpp"
 #include "core/match.hpp"
 #include "core/patches.hpp"
 #include "core/surface.hpp"
@@ -284,6 +285,21 @@ Out<double, 2> align_patches(const nb::list& charts_a, const In<double, 2>& plac
     return out.map();
 }
 
+/// See planish::locate_texture.
+Out<float, 3> locate_texture(const In<float, 3>& points_a, const In<float, 3>& normals_a,
+                             const In<std::uint8_t, 2>& own, const In<double, 1>& camera_b,
+                             const In<float, 3>& points_b, const In<double, 2>& T_b_a, double gate, int threads) {
+    const planish::TextureSurface a{view<float, 3>(points_a), view<float, 3>(normals_a), view<std::uint8_t, 2>(own)};
+    const auto camera = camera_from(camera_b);
+    const Rigid T(T_b_a);
+    Owned<float> source(a.points.height, a.points.width, 2);
+    {
+        nb::gil_scoped_release release;
+        planish::locate_texture(a, camera, view<float, 3>(points_b), T.R, T.t, gate, threads, source.image);
+    }
+    return source.maps();
+}
+
 }  // namespace
 
 void bind_registration(nb::module_& m) {
@@ -300,6 +316,8 @@ void bind_registration(nb::module_& m) {
           "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
           "options"_a, "weights"_a, "with_residuals"_a, "threads"_a);
+    m.def("locate_texture", &locate_texture, "points_a"_a, "normals_a"_a, "own"_a, "camera_b"_a, "points_b"_a,
+          "T_b_a"_a, "gate"_a, "threads"_a);
     m.def("joint_values", &joint_values, "maps"_a, "centre"_a, "blur"_a, "blur_sigma"_a, "spacing"_a, "threads"_a);
     m.def("joint_pull", &joint_pull, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a, "options"_a,
           "weights"_a, "threads"_a);
