@@ -18,8 +18,8 @@ from planish.registration.refine.sides import JointSide
 from planish.registration.refine.solve import Refined, RefineOptions
 from planish.registration.refine.spectrum import MOST_NOISE
 
-#: Every n-th pixel along both axes tells how large the residuals are.
-_STRIDE = 3
+#: Every n-th pixel along both axes tells how large the residuals are, and how large the noise that is expected.
+_STRIDE, _NOISE_STRIDE = 3, 12
 
 
 @dataclass(frozen=True)
@@ -128,5 +128,6 @@ def _weighted_median(values: Array, weights: Array) -> float:
 
 
 def _median(variance: Map) -> float:
-    known = variance[::_STRIDE, ::_STRIDE]
-    return float(np.median(known[np.isfinite(known)])) if np.isfinite(known).any() else 0.0
+    sample = variance[::_NOISE_STRIDE, ::_NOISE_STRIDE]
+    known = sample[np.isfinite(sample)]
+    return float(np.median(known)) if len(known) else 0.0
