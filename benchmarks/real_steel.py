@@ -4,7 +4,8 @@
 
 Two measurements of shared/data/steel_corner_shiftline, organised on either camera with its own images as the only
 texture: as they are, cropped so that they share less, and with another lamp imitated on one of them: its brightness
-multiplied by a ramp 1 : 4 and an offset added. Then both halves of the texture are compared with each other.
+multiplied by a ramp 1 : 4 and an offset added. Then both halves of the texture are compared with each other, and what
+distances and textures say alone.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from planish.geometry import Array, invert, rotation_angle, transform_points
+from planish.geometry import difference, invert, transform_points
 from planish.measurement import Measurement, View, rejection_bit
 from planish.pipeline import MeasureOptions, measure, register
 from planish.sensing.capture.manifest import Capture
-from real_steel_halves import halves_table
+from real_steel_halves import halves_table, stated_rig
+from real_steel_sources import sources_table
 from render_tables import ROOT, save_table
 
 DATA = ROOT.parent / "shared" / "data" / "steel_corner_shiftline"
@@ -55,16 +57,22 @@ def other_lamp(m: Measurement) -> Measurement:
     return replace(m, views={name: lit(view) for name, view in m.views.items()})
 
 
-def errors(left: Measurement, right: Measurement, T_true: Array) -> dict[str, Any]:
-    """Return what registration says of two measurements, and its errors at the overlap's centroid."""
+def errors(left: Measurement, right: Measurement) -> dict[str, Any]:
+    """Return what registration says of two measurements in one frame, and its errors at the overlap's centroid."""
     pair = register([left, right]).pair("left", "right")
     row: dict[str, Any] = {
         "status": pair.status, "places": pair.consensus, "alarms": pair.log10_false_alarms, "reason": pair.reason
     }  # fmt: skip
     if pair.T_a_b is not None and pair.covariance_point_mm is not None:
-        centre = transform_points(invert(pair.T_a_b), pair.covariance_point_mm)
-        row["deg"] = float(np.rad2deg(rotation_angle(invert(T_true) @ pair.T_a_b)))
-        row["mm"] = float(np.linalg.norm(transform_points(T_true, centre) - pair.covariance_point_mm))
+        xi = difference(np.eye(4), pair.T_a_b, pair.covariance_point_mm)
+        row |= {"deg": float(np.rad2deg(np.linalg.norm(xi[:3]))), "mm": float(np.linalg.norm(xi[3:]))}
+        assert pair.covariance_noise is not None
+        assert pair.covariance_calibration is not None
+        total = pair.covariance_noise + pair.covariance_calibration
+        row |= {
+            "sigma_mm": float(np.sqrt(np.trace(total[3:, 3:]))),
+            "total": float(xi @ np.linalg.solve(total, xi)) / 6,
+        }
     return row
 
 
@@ -73,23 +81,30 @@ def main() -> None:
     capture = Capture.load(MANIFEST, DATA)
     left = replace(measure(capture, MeasureOptions(organise_on="A", texture_views=("A",))), name="left")
     right = replace(measure(capture, MeasureOptions(organise_on="B", texture_views=("B",))), name="right")
-    T_true = invert(left.rig.cameras["B"].T_camera_sensor)
+    # Both in the left camera's frame: the truth is that nothing moved.
+    points = np.asarray(
+        transform_points(invert(left.rig.cameras["B"].T_camera_sensor), right.points_sensor), np.float32
+    )
+    rig = stated_rig(left)
+    left, right = replace(left, rig=rig), replace(right, rig=rig, points_sensor=points)
     cropped = crop(left, LEFT_COLUMNS), crop(right, RIGHT_COLUMNS)
     rows = [
-        {"what": "full"} | errors(left, right, T_true),
-        {"what": "cropped"} | errors(*cropped, T_true),
-        {"what": "full, another lamp on the right one"} | errors(left, other_lamp(right), T_true),
-        {"what": "cropped, another lamp on the right one"} | errors(cropped[0], other_lamp(cropped[1]), T_true),
+        {"what": "full"} | errors(left, right),
+        {"what": "cropped"} | errors(*cropped),
+        {"what": "full, another lamp on the right one"} | errors(left, other_lamp(right)),
+        {"what": "cropped, another lamp on the right one"} | errors(cropped[0], other_lamp(cropped[1])),
     ]
     print(*rows, sep="\n")
     columns = {
         "what": "left against right", "status": "status", "places": "distinct places",
         "alarms": "log10 false alarms", "deg": "rotation error [deg]", "mm": "at the centroid [mm]",
+        "sigma_mm": "stated sigma, noise and calibration [mm]", "total": "square / 6",
     }  # fmt: skip
-    formats = {"alarms": ".0f", "deg": ".4f", "mm": ".3f"}
+    formats = {"alarms": ".0f", "deg": ".4f", "mm": ".3f", "sigma_mm": ".3f", "total": ".2f"}
     rows = [{key: row.get(key) for key in columns} for row in rows]
     save_table("real-steel", columns, rows, "python benchmarks/real_steel.py", formats)
     halves_table(left, right)
+    sources_table(left, right)
 
 
 if __name__ == "__main__":

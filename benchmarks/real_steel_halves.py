@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from planish.geometry import Array, adjoint, difference, invert, move_covariance, transform_points, translation
+from planish.geometry import Array, adjoint, difference, move_covariance, transform_points, translation
 from planish.measurement import Measurement, rejection_bit
 from planish.pipeline import register
 from planish.registration.result import PairResult
@@ -36,11 +36,10 @@ Mask = NDArray[np.bool_]
 
 
 def halves_table(left: Measurement, right: Measurement) -> None:
-    """Register both halves of each cut, save the table `real-steel-halves` and print it."""
-    rig = stated_rig(left)
-    T_left_right = invert(left.rig.cameras["B"].T_camera_sensor)
-    points = np.asarray(transform_points(T_left_right, right.points_sensor), np.float32)
-    left, right = replace(left, rig=rig), replace(right, rig=rig, points_sensor=points)
+    """Register both halves of each cut, save the table `real-steel-halves` and print it.
+
+    Both measurements are in one frame and have a rig that states its errors (`stated_rig`).
+    """
     rows = []
     for what, first in cuts(left).items():
         pairs = [register([kept(left, mask), right]).pair("left", "right") for mask in (first, ~first)]

@@ -3,6 +3,7 @@
     python benchmarks/refine.py accuracy --parts 30              (errors over the coarse registration's grid)
     python benchmarks/refine.py scenes --pairs 20 --starts 25    (efficiency, convergence)
     python benchmarks/refine.py covariance --pairs 200 --noise 1 0.5 2
+    python benchmarks/refine.py failures --pairs 2 --scale 0.5   (wrong optima, and what notices them)
     python benchmarks/refine.py beside --pairs 3 --peers PYTHON  (nothing else may run: it measures times)
     python benchmarks/refine.py tables
 
@@ -18,6 +19,7 @@ from typing import Any
 import refine_accuracy
 import refine_beside
 import refine_covariance
+import refine_failures
 import refine_scenes
 from cells import cell_arguments, run_cells
 from coarse import FIRST_FULL
@@ -54,6 +56,12 @@ def covariance_cells(arguments: argparse.Namespace) -> Cells:
     }
 
 
+def failures_cells(arguments: argparse.Namespace) -> Cells:
+    """Return one cell per pair of a scene."""
+    kinds, scale = arguments.kinds or COVARIANCE_KINDS, arguments.scale
+    return {f"failures_{k}_{scale:g}_{n:03d}": (k, n, scale) for n in range(arguments.pairs) for k in kinds}
+
+
 def beside_cells(arguments: argparse.Namespace) -> Cells:
     """Return one cell per pair of a scene."""
     kinds = arguments.kinds or BESIDE_KINDS
@@ -63,13 +71,13 @@ def beside_cells(arguments: argparse.Namespace) -> Cells:
 def parse() -> argparse.Namespace:
     """Return what was asked for."""
     parser = cell_arguments(__doc__)
-    parser.add_argument("study", choices=("accuracy", "scenes", "covariance", "beside", "tables"))
+    parser.add_argument("study", choices=("accuracy", "scenes", "covariance", "failures", "beside", "tables"))
     parser.add_argument("--parts", type=int, default=30, help="of the grid")
     parser.add_argument("--pairs", type=int, default=20, help="of each scene")
     parser.add_argument("--kinds", nargs="+", choices=tuple(KINDS), help="scenes; default: those of the study")
     parser.add_argument("--starts", type=int, default=25, help="of each pair")
     parser.add_argument("--noise", type=float, nargs="+", default=[1.0], help="factors on the cameras' noise")
-    parser.add_argument("--scale", type=float, default=1.0, help="resolution for the covariance")
+    parser.add_argument("--scale", type=float, default=1.0, help="resolution for covariance and failures")
     parser.add_argument("--peers", help="python of the peers' environment")
     return parser.parse_args()
 
@@ -83,6 +91,8 @@ def main() -> None:
         run_cells(FOLDER, scenes_cells(arguments), refine_scenes.run_pair, workers, again)
     elif arguments.study == "covariance":
         run_cells(FOLDER, covariance_cells(arguments), refine_covariance.run_pairs, workers, again)
+    elif arguments.study == "failures":
+        run_cells(FOLDER, failures_cells(arguments), refine_failures.run_pair, workers, again)
     elif arguments.study == "beside":
         # One after the other, so that the times are those of a machine that does nothing else.
         run_cells(FOLDER, beside_cells(arguments), refine_beside.run_pair, 1, again)

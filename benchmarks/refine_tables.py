@@ -30,6 +30,7 @@ def save_tables() -> None:
         ("scenes", _efficiency),
         ("scenes", _convergence),
         ("covariance", _covariance),
+        ("failures", _failures),
         ("beside", _beside),
     ):
         of_it = [r for r in rows if r["study"] == study]
@@ -139,6 +140,31 @@ def _covariance(rows: Rows) -> None:
     }  # fmt: skip
     formats = dict.fromkeys(("nees", "median", *(f"axis{i}" for i in range(6))), ".2f")
     _save("covariance", columns, table, "covariance", formats | {"coverage": ".1f", "axes_covered": ".1f"})
+
+
+def _failures(rows: Rows) -> None:
+    table = []
+    witnesses = ("by_kept_out", "by_residuals", "by_drift")
+    for kind in sorted({r["kind"] for r in rows}):
+        ends = [r for r in rows if r["kind"] == kind and r["off_mm"] is not None]
+        wrong, right = ([r for r in ends if r["beside"] == beside] for beside in (True, False))
+        table.append(
+            {
+                "kind": kind,
+                "right": len(right),
+                "refused": sum(any(r[w] for w in witnesses) for r in right),
+                "least": min((r["common_texture"] for r in right), default=None),
+                "wrong": len(wrong),
+                **{w: sum(r[w] for r in wrong) for w in witnesses},
+                "none": sum(not any(r[w] for w in witnesses) for r in wrong),
+            }
+        )
+    columns = {
+        "kind": "scene, grain [%]", "right": "right ends", "refused": "of them refused",
+        "least": "their textures in common, least", "wrong": "wrong optima", "by_kept_out": "refused by tiles kept out",
+        "by_residuals": "by residuals", "by_drift": "by drift from the windows", "none": "by none",
+    }  # fmt: skip
+    _save("failures", columns, table, "failures --scale 0.5", {"least": ".2f"})
 
 
 def _beside(rows: Rows) -> None:

@@ -12,6 +12,7 @@ from planish.registration.pair import kept_out_agreement, refine_pair
 from planish.registration.refine.covariance import noise_covariance
 from planish.registration.refine.kept_out import Agreement
 from planish.registration.verdict.geometry import Sight
+from planish.registration.verdict.hypothesis import Drift
 from planish.registration.verdict.judge import VerdictOptions, judge_refined
 
 
@@ -50,8 +51,8 @@ def test_no_common_tile_says_nothing(pair, refined):
 
 def test_a_contradiction_of_millimetres_is_refused(refined):
     sight, options = Sight(meet=1000, hidden=0), VerdictOptions()
-    judged = judge_refined(refined, (), 0.1, sight, options, None, Agreement(600.0, 6, 2.5))
+    judged = judge_refined(refined, (), Drift(0.1), sight, options, None, Agreement(600.0, 6, 2.5))
     assert judged.status == "refused"
     assert "kept out of the fit, lies 2.50 mm off" in judged.reason
-    assert judge_refined(refined, (), 0.1, sight, options, None, Agreement(6.0, 6, 2.5)) is None
-    assert judge_refined(refined, (), 0.1, sight, options, None, Agreement(600.0, 6, 0.1)) is None
+    assert judge_refined(refined, (), Drift(0.1), sight, options, None, Agreement(6.0, 6, 2.5)) is None
+    assert judge_refined(refined, (), Drift(0.1), sight, options, None, Agreement(600.0, 6, 0.1)) is None

@@ -63,15 +63,17 @@ def clean_sides(bend):
     return a, replace(b, use=inner)
 
 
-def test_residuals_and_normal_equations_are_those_of_the_definition(bent):
+@pytest.mark.parametrize(("gain", "offset"), [(0.0, 0.0), (0.4, 0.003)])
+def test_residuals_and_normal_equations_are_those_of_the_definition(bent, gain, offset):
     a, b = (side.fit_sides[1] for side in bent)
     camera = bent[0].measurement.camera
     about = np.array([30.0, 10.0, -5.0])
     T = perturb(sheets.T_TRUE, [1e-4, 2e-4, -1e-4, 0.1, 0.05, 0.02], about)
     scale, weight_d, weight_t = 1.5, 0.7, 0.8
-    found = at(a, b, T, about, Weights.alike(b, 8, weight_d, weight_t, scale), residuals=True)
+    weights = Weights.alike(b, 8, weight_d, weight_t, scale).shaded(np.array([gain, offset], np.float32))
+    found = at(a, b, T, about, weights, residuals=True)
     rows, columns, d, of_distance, t, of_texture = reference.residuals(
-        a.maps, camera, b.maps, T, about, 3.0, np.cos(0.35)
+        a.maps, camera, b.maps, T, about, 3.0, np.cos(0.35), gain, offset
     )
     assert found.points == len(d)
     assert found.points == np.isfinite(found.distances).sum()

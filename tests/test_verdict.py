@@ -13,7 +13,7 @@ import matched
 import sheets
 from planish.geometry import exp_se3, transform_points
 from planish.registration.consensus import Candidate, CoarseResult, Search, find_consensus
-from planish.registration.pair import prepare, refine_pair
+from planish.registration.pair import prepare, refine_pair, residual_statistics
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.result import Direction
 from planish.registration.texture.photometric import local_contrast
@@ -27,6 +27,7 @@ from planish.registration.verdict.false_alarms import (
     log10_of_product,
 )
 from planish.registration.verdict.geometry import Sight, line_of_sight
+from planish.registration.verdict.hypothesis import Drift
 from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined
 from planish.registration.verdict.still import geometry_stands_still, same_sensor, standing_still
 from planish.registration.verdict.together import Together
@@ -315,17 +316,17 @@ def refined():
 
 
 def test_a_good_refinement_is_confirmed(refined):
-    assert judge_refined(*refined, 0.2, CLEAR, OPTIONS) is None
+    assert judge_refined(*refined, Drift(0.2), CLEAR, OPTIONS) is None
 
 
 def test_surfaces_that_do_not_overlap_are_refused():
-    judgement = judge_refined(None, (), 0.0, CLEAR, OPTIONS)
+    judgement = judge_refined(None, (), Drift(0.0), CLEAR, OPTIONS)
     assert judgement.status == "refused"
     assert "do not overlap" in judgement.reason
 
 
 def test_a_refinement_that_leaves_the_consensus_is_refused(refined):
-    judgement = judge_refined(*refined, 2.0, CLEAR, OPTIONS)
+    judgement = judge_refined(*refined, Drift(2.0), CLEAR, OPTIONS)
     assert judgement.status == "refused"
     assert "left the consensus by 2.00 mm" in judgement.reason
 
@@ -333,7 +334,7 @@ def test_a_refinement_that_leaves_the_consensus_is_refused(refined):
 def test_a_direction_that_nothing_holds_is_refused(refined):
     found, directions = refined
     loose = Direction(directions[0].direction, 100.0, 7.5, 0.1, False, "a shift along the overlap's length")
-    judgement = judge_refined(found, (*directions[:5], loose), 0.1, CLEAR, OPTIONS)
+    judgement = judge_refined(found, (*directions[:5], loose), Drift(0.1), CLEAR, OPTIONS)
     assert judgement.status == "refused"
     assert "1 direction(s) held by neither" in judgement.reason
     assert "uncertain by" in judgement.reason
@@ -346,13 +347,15 @@ def test_textures_that_do_not_correlate_are_refused(refined):
     a, b = sheets.pair()
     view = b.measurement.views["A"]
     other = replace(b.measurement, views={"A": replace(view, mean=np.ascontiguousarray(view.mean[:, ::-1]))})
-    found = refine_pair(a, prepare(other, sheets.PITCH_MM), sheets.T_TRUE)
-    judgement = judge_refined(found, directions, 0.1, CLEAR, OPTIONS)
+    b = prepare(other, sheets.PITCH_MM)
+    found = refine_pair(a, b, sheets.T_TRUE)
+    fit = residual_statistics(a, b, found)
+    judgement = judge_refined(found, directions, Drift(0.1), CLEAR, OPTIONS, fit=fit)
     assert judgement.status == "refused"
     assert "do not correlate" in judgement.reason
 
 
 def test_surfaces_that_hide_one_another_are_refused(refined):
-    judgement = judge_refined(*refined, 0.1, Sight(meet=500, hidden=500), OPTIONS)
+    judgement = judge_refined(*refined, Drift(0.1), Sight(meet=500, hidden=500), OPTIONS)
     assert judgement.status == "refused"
     assert "50 % of the overlap the surfaces hide one another" in judgement.reason

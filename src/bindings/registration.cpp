@@ -125,17 +125,21 @@ planish::JointOptions joint_options(const nb::tuple& options) {
             nb::cast<int>(options[3])};
 }
 
-/// (tile rows, tile columns, 4): scale and weight of distance, of texture.
+/// (tile rows, tile columns, 8): scale, weight, gain and offset of distance (its gain and offset unused), of texture.
 std::vector<planish::TileWeight> tile_weights(const In<float, 3>& weights) {
     std::vector<planish::TileWeight> out(weights.shape(0) * weights.shape(1) * 2);
-    for (std::size_t k = 0; k < out.size(); ++k) out[k] = {weights.data()[2 * k], weights.data()[2 * k + 1]};
+    for (std::size_t k = 0; k < out.size(); ++k) {
+        const float* w = weights.data() + 4 * k;
+        out[k] = {w[0], w[1], w[2], w[3]};
+    }
     return out;
 }
 
 /// Maps a, camera a, maps b: see planish::JointMaps. Returns normal equations of distance and texture, the unbiased
 /// information of both, correlation, tile gradients (rows, columns, 6 of the distance and 6 of the texture), number
-/// and sum of absolute residuals per tile (rows, columns, 2 of the distance and 2 of the texture) and, if asked for,
-/// the residual maps.
+/// and sum of absolute residuals per tile (rows, columns, 2 of the distance and 2 of the texture), shading per tile
+/// (rows, columns, 6 of `change` by the gain, 6 by the offset, 4 of `square`, 2 of `residual`) and, if asked for, the
+/// residual maps.
 nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
                                  const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
                                  const In<float, 3>& weights, bool with_residuals, int threads) {
@@ -160,11 +164,18 @@ nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& c
     Owned<double> sizes(result.tile_rows, result.tile_columns, 4);
     for (std::size_t i = 0; i < result.tile_sizes.size(); ++i)
         std::copy_n(result.tile_sizes[i].data(), 4, sizes.image.data + 4 * i);
+    Owned<double> shading(result.tile_rows, result.tile_columns, 18);
+    for (std::size_t i = 0; i < result.tile_shading.size(); ++i) {
+        double* to = shading.image.data + 18 * i;
+        to = std::copy_n(result.tile_shading[i].change.data(), 12, to);
+        to = std::copy_n(result.tile_shading[i].square.data(), 4, to);
+        std::copy_n(result.tile_shading[i].residual.data(), 2, to);
+    }
     const auto& s = result.sums;
     const double norm = std::sqrt(s.correlation_aa * s.correlation_bb);
     return nb::make_tuple(normal_equations(s.distance), normal_equations(s.texture), matrix6(s.H_distance_unbiased),
                           matrix6(s.H_texture_unbiased), norm > 0 ? s.correlation_ab / norm : 0.0, tiles.maps(),
-                          sizes.maps(), distances.map(), differences.map());
+                          sizes.maps(), shading.maps(), distances.map(), differences.map());
 }
 
 /// See planish::joint_pull. Returns the pull (rows x columns, 6, 3) of all tiles and their pixels (rows x columns,).

@@ -98,9 +98,10 @@ struct Batch {
 };
 
 /// Eight residuals in units of their noise, both sides' and the mean derivative by a displacement, the residuals'
-/// change by the blur; `there` is 1, or 0 where nothing of it counts.
+/// change by the blur; of textures what gain and offset would take from them; `there` is 1, or 0 where nothing of it
+/// counts.
 struct Residuals {
-    Lanes there, residual, blur;
+    Lanes there, residual, blur, gain, offset;
     Lanes3 a, b, mean;
 };
 
@@ -184,9 +185,50 @@ void LaneSums::add_to(Normal& sums, Matrix6& unbiased_sums, Matrix62& tile, int 
     sizes[1] += total(absolute);
 }
 
+/// Sums for `Shading`, lane by lane.
+struct ShadingSums {
+    std::array<Lanes, 6> by_gain, by_offset;
+    Lanes gains = Lanes::Zero(), both = Lanes::Zero(), offsets = Lanes::Zero();
+    Lanes gain_residual = Lanes::Zero(), offset_residual = Lanes::Zero();
+
+    ShadingSums() {
+        by_gain.fill(Lanes::Zero());
+        by_offset.fill(Lanes::Zero());
+    }
+    void add(const Residuals& found, const Lanes3& lever, const TileWeight& weight);
+    void add_to(Shading& sums) const;
+};
+
+void ShadingSums::add(const Residuals& found, const Lanes3& lever, const TileWeight& weight) {
+    const float over_scale = 1.0F / (kTukey * weight.scale);
+    const auto J = jacobians(lever, found.mean);
+    const Lanes &r = found.residual, &m = found.gain, &q = found.offset;
+    const Lanes w = weight.weight * ((1.0F - (r * over_scale).square()).max(0.0F) * found.there).square();
+    const Lanes wm = w * m, wq = w * q;
+    gains += wm * m;
+    both += wm * q;
+    offsets += wq * q;
+    gain_residual += wm * r;
+    offset_residual += wq * r;
+    for (int i = 0; i < 6; ++i) {
+        by_gain[i] += wm * J[i];
+        by_offset[i] += wq * J[i];
+    }
+}
+
+void ShadingSums::add_to(Shading& sums) const {
+    for (int i = 0; i < 6; ++i) {
+        sums.change(i, 0) = total(by_gain[i]);
+        sums.change(i, 1) = total(by_offset[i]);
+    }
+    sums.square << total(gains), total(both), total(both), total(offsets);
+    sums.residual << total(gain_residual), total(offset_residual);
+}
+
 /// Sums of one tile.
 struct TileSums {
     LaneSums distance, texture;
+    ShadingSums shading;
     Lanes correlation_ab = Lanes::Zero(), correlation_aa = Lanes::Zero(), correlation_bb = Lanes::Zero();
 };
 
@@ -195,16 +237,17 @@ struct Problem : JointPair {
     Image<float> distances, differences;
 
     void add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
-                  std::array<double, 4>& sizes, Batch& batch) const;
+                  std::array<double, 4>& sizes, Shading& shading, Batch& batch) const;
     void add(const Batch& batch, const TileWeight* weights, TileSums& sums) const;
     [[nodiscard]] Residuals compare_points(const Batch& batch, int first) const;
-    [[nodiscard]] Residuals compare_textures(const Batch& batch, int first, const Lanes& there) const;
+    [[nodiscard]] Residuals compare_textures(const Batch& batch, int first, const Lanes& there,
+                                             const TileWeight& weight) const;
     void keep(const Batch& batch, int first, const Residuals& found, const Image<float>& map) const;
 };
 
 /// All pixels of a tile: they lie close together in a, too, whichever way it is turned.
 void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
-                       std::array<double, 4>& sizes, Batch& batch) const {
+                       std::array<double, 4>& sizes, Shading& shading, Batch& batch) const {
     if (weights[0].weight == 0 && weights[1].weight == 0) return;
     TileSums tile;
     batch.count = 0;
@@ -236,6 +279,7 @@ void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& 
     add(batch, weights, tile);
     tile.distance.add_to(sums.distance, sums.H_distance_unbiased, gradients, 0, &sizes[0]);
     tile.texture.add_to(sums.texture, sums.H_texture_unbiased, gradients, 1, &sizes[2]);
+    tile.shading.add_to(shading);
     sums.correlation_ab += total(tile.correlation_ab);
     sums.correlation_aa += total(tile.correlation_aa);
     sums.correlation_bb += total(tile.correlation_bb);
@@ -245,9 +289,10 @@ void Problem::add(const Batch& batch, const TileWeight* weights, TileSums& sums)
     for (int first = 0; first < batch.count; first += kLanes) {
         const Lanes3 from = batch.vectors(lever, first);
         const Residuals distance = compare_points(batch, first);
-        const Residuals texture = compare_textures(batch, first, distance.there);
+        const Residuals texture = compare_textures(batch, first, distance.there, weights[1]);
         sums.distance.add(distance, from, weights[0]);
         sums.texture.add(texture, from, weights[1]);
+        sums.shading.add(texture, from, weights[1]);
         const Lanes of_a = batch.lanes(value_a, first), of_b = batch.lanes(value_b, first);
         sums.correlation_ab += of_a * of_b * texture.there;
         sums.correlation_aa += of_a.square() * texture.there;
@@ -276,16 +321,20 @@ Residuals Problem::compare_points(const Batch& batch, int first) const {
     return out;
 }
 
-Residuals Problem::compare_textures(const Batch& batch, int first, const Lanes& there) const {
+Residuals Problem::compare_textures(const Batch& batch, int first, const Lanes& there, const TileWeight& weight) const {
     const Lanes3 of_a = batch.vectors(gradient_a, first), of_b = turned(R_float, batch.vectors(gradient_b, first));
     const Lanes over_sigma = 1.0F / batch.lanes(variance_texture, first).sqrt();
     Residuals out;
     out.there = there * batch.lanes(textured, first);
-    out.residual = (batch.lanes(value_a, first) - batch.lanes(value_b, first)) * over_sigma;
+    const Lanes texture_a = batch.lanes(value_a, first), texture_b = batch.lanes(value_b, first);
+    out.gain = 0.5F * (texture_a + texture_b) * over_sigma;
+    out.offset = over_sigma;
+    out.residual = (texture_a - texture_b - weight.offset) * over_sigma - weight.gain * out.gain;
     out.blur = Lanes::Zero();
+    const Lanes share_a = (1.0F - 0.5F * weight.gain) * over_sigma, share_b = (1.0F + 0.5F * weight.gain) * over_sigma;
     for (int i = 0; i < 3; ++i) {
-        out.a[i] = of_a[i] * over_sigma;
-        out.b[i] = of_b[i] * over_sigma;
+        out.a[i] = of_a[i] * share_a;
+        out.b[i] = of_b[i] * share_b;
         out.mean[i] = 0.5F * (out.a[i] + out.b[i]);
     }
     return out;
@@ -317,6 +366,7 @@ JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, c
     result.tile_columns = columns;
     result.tile_gradients.assign(tiles, Matrix62::Zero());
     result.tile_sizes.assign(tiles, {});
+    result.tile_shading.assign(tiles, {});
     // One block = one row of tiles: its tile sums belong to it alone, and the order of additions is fixed.
     result.sums = parallel_sum<JointSums>(result.tile_rows, 1, threads, [&](std::size_t row, std::size_t) {
         JointSums sums;
@@ -325,7 +375,7 @@ JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, c
         for (int column = 0; column < columns; ++column) {
             const std::size_t k = row * columns + column;
             problem.add_tile(top, column * options.tile, &weights[2 * k], sums, result.tile_gradients[k],
-                             result.tile_sizes[k], batch);
+                             result.tile_sizes[k], result.tile_shading[k], batch);
         }
         return sums;
     });

@@ -39,10 +39,20 @@ struct JointOptions {
     int tile;             ///< edge of a tile of b [px]; multiple of stride
 };
 
-/// How residuals count in one tile of b, of one kind.
+/// How residuals count in one tile of b, of one kind; of textures also what their shading is taken to be.
 struct TileWeight {
-    float scale;   ///< robust standard deviation of the residuals over their noise; infinite = all weigh alike
-    float weight;  ///< of a squared residual over its noise; a tile whose both are 0 is not looked at
+    float scale;       ///< robust standard deviation of the residuals over their noise; infinite = all weigh alike
+    float weight;      ///< of a squared residual over its noise; a tile whose both are 0 is not looked at
+    float gain = 0;    ///< relative contrast of a's texture over b's: each is corrected by half of it
+    float offset = 0;  ///< of a's texture over b's
+};
+
+/// What gain and offset of a tile's textures do, where they differ from what `TileWeight` holds: sums with the robust
+/// weights w over residuals r, their derivatives J by xi, and by gain and offset (m and q, with the opposite sign).
+struct Shading {
+    Matrix62 change = Matrix62::Zero();                  ///< J'w [m q]
+    Eigen::Matrix2d square = Eigen::Matrix2d::Zero();    ///< [m q]'w [m q]
+    Eigen::Vector2d residual = Eigen::Vector2d::Zero();  ///< [m q]'w r
 };
 
 /// Normal equations of one kind of residual: H = J'WJ, g = J'Wr. `weights` and `slopes` are the sums of the robust
@@ -70,6 +80,7 @@ struct JointResult {
     std::vector<Matrix62> tile_gradients;
     /// Number and sum of absolute values of the residuals over their noise per tile: distance, texture.
     std::vector<std::array<double, 4>> tile_sizes;
+    std::vector<Shading> tile_shading;  ///< per tile of b
     int tile_rows = 0, tile_columns = 0;
 };
 

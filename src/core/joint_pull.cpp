@@ -85,12 +85,15 @@ void Problem::add_texture(const Meeting& m, const TileWeight& weight, Matrix63& 
     const double variance = m.variance_texture + pb[joint::variance_texture];
     const double known = value_a.value + value_b + variance + m.gradient_a[0] + pb[joint::gradient];
     if (std::isnan(known)) return;
-    const double sigma = std::sqrt(variance), r = (value_a.value - value_b) / sigma;
+    const double share_a = 1 - 0.5 * weight.gain, share_b = 1 + 0.5 * weight.gain;
+    const double sigma = std::sqrt(variance);
+    const double r = (share_a * value_a.value - share_b * value_b - weight.offset) / sigma;
     const Influence influence = tukey(static_cast<float>(r), weight.scale);
     if (influence.weight == 0) return;
-    const Matrix23 by_point = pixel_by_point(camera, m.in_camera) / sigma;
+    const Matrix23 by_point = share_a * pixel_by_point(camera, m.in_camera) / sigma;
     const Eigen::Vector3f lever = (m.x - about).cast<float>();
-    const Eigen::Vector3d gradient = m.gradient_a.cast<double>() + R * vector_of(pb, joint::gradient);
+    const Eigen::Vector3d gradient =
+        share_a * m.gradient_a.cast<double>() + share_b * (R * vector_of(pb, joint::gradient));
     const Row6 J = jacobian(lever, (0.5 / sigma * gradient).cast<float>());
     pull += outer(J, weight.weight * influence.slope * Eigen::RowVector2d(value_a.du, value_a.dv) * by_point);
     // a's gradient is looked up at the same place, so that it changes too.

@@ -122,7 +122,7 @@ def joint_normal_equations(
     weights: F32,
     with_residuals: bool,
     threads: int,
-) -> tuple[_Normal, _Normal, F64, F64, float, F64, F64, F32, F32]: ...
+) -> tuple[_Normal, _Normal, F64, F64, float, F64, F64, F64, F32, F32]: ...
 def joint_pull(
     maps_a: _Maps,
     camera_a: F64,

@@ -61,11 +61,12 @@ def _between(values, u, v, x):
     return (chord + planes) / 2, normal
 
 
-def residuals(maps_a, camera_a, maps_b, T_a_b, about, max_distance, min_cosine):
+def residuals(maps_a, camera_a, maps_b, T_a_b, about, max_distance, min_cosine, gain=0.0, offset=0.0):
     """Residuals of b against a: rows, columns of b, distance with three Jacobians, difference with three Jacobians.
 
     Residuals and Jacobians are in units of the residuals' noise; a Jacobian is that of the mean, of a's and of b's
-    normal or gradient. The difference is NaN where a texture is unknown.
+    normal or gradient. The difference is NaN where a texture is unknown; a's is taken to have more contrast by `gain`,
+    of which each side is corrected by half, and to lie higher by `offset`.
     """
     (values_a, texture_a, use_a), (values_b, texture_b, use_b) = maps_a, maps_b
     R = T_a_b[:3, :3]
@@ -86,8 +87,11 @@ def residuals(maps_a, camera_a, maps_b, T_a_b, about, max_distance, min_cosine):
     sigma = np.sqrt(at_a[:, 3] + at_b[:, 3])[:, None]
     of_distance = [_jacobian(lever, n / sigma) for n in (mean / np.linalg.norm(mean, axis=1, keepdims=True), n_a, n_b)]
     noise = np.sqrt(at_a[:, 7] + at_b[:, 7])[:, None]
-    difference = (cubic(texture_a, u, v) - texture_b[rows, columns]) / noise[:, 0]
-    J_a, J_b = _jacobian(lever, at_a[:, 8:11] / noise), _jacobian(lever, at_b[:, 8:11] @ R.T / noise)
+    share_a, share_b = 1 - gain / 2, 1 + gain / 2
+    difference = (share_a * cubic(texture_a, u, v) - share_b * texture_b[rows, columns] - offset) / noise[:, 0]
+    J_a, J_b = (
+        _jacobian(lever, share * g / noise) for share, g in ((share_a, at_a[:, 8:11]), (share_b, at_b[:, 8:11] @ R.T))
+    )
     difference[~(np.isfinite(J_a).all(1) & np.isfinite(J_b).all(1))] = np.nan
     return rows, columns, distance / sigma[:, 0], of_distance, difference, [(J_a + J_b) / 2, J_a, J_b]
 

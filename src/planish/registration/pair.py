@@ -23,6 +23,7 @@ from planish.registration.matches import Matches
 from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
+from planish.registration.refine.fit_statistics import FitStatistics, fit_statistics
 from planish.registration.refine.kept_out import Agreement, agreement
 from planish.registration.refine.overlap import overlap_axes, overlap_extent
 from planish.registration.refine.sides import JointSide, held_out_pixels, joint_sides
@@ -257,16 +258,17 @@ def _refined_result(
     refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor, within_mm)
     covariance = noise_covariance(refined) if refined is not None else None
     directions: tuple[Direction, ...] = ()
-    kept_out = None
+    kept_out, fit = None, None
     if refined is not None and covariance is not None:
+        fit = residual_statistics(a, b, refined, options, threads, verdict.without)
         kept_out = kept_out_agreement(a, b, refined, covariance, options, threads, verdict.without)
         covariance = covariance * kept_out.factor
         directions = observability(refined, covariance, overlap_axes(a.measurement, b.measurement, refined.T_a_b))
-    drift = first.drift_mm(refined.T_a_b) if refined is not None else 0.0
     T, gate = first.T_a_b if refined is None else refined.T_a_b, options.verdict.verify.gate_mm
     sight = line_of_sight(a.measurement, b.measurement, T, gate, verdict.without)
+    drift = first.drift(T, a.images[0].pitch_mm)
     unmoved_mm = options.verdict.still_px * ground_sample_distance(a.measurement) if verdict.unmoved else None
-    refuted = judge_refined(refined, directions, drift, sight, options.verdict, unmoved_mm, kept_out)
+    refuted = judge_refined(refined, directions, drift, sight, options.verdict, unmoved_mm, kept_out, fit)
     if refined is None or kept_out is None or refuted is not None:
         assert refuted is not None
         return replace(result, status=refuted.status, reason=refuted.reason, observability=directions)
@@ -326,6 +328,23 @@ def kept_out_agreement(
     side_b = _without({finest: b.sides[finest]}, without[1])[finest]
     tile = tile_size_px(b.measurement)
     return agreement(only[finest], side_b, refined, covariance, tile, options.refine, thread_count(threads))
+
+
+def residual_statistics(
+    a: Prepared,
+    b: Prepared,
+    refined: Refined,
+    options: PairOptions | None = None,
+    threads: int | None = None,
+    without: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None),
+) -> FitStatistics:
+    """Return what the size of all residuals says about a fit; arguments as in `refine_pair`."""
+    options = options or PairOptions()
+    finest = options.refine.spacing_px[-1]
+    side_a, side_b = (
+        _without({finest: p.sides[finest]}, mask)[finest] for p, mask in zip((a, b), without, strict=True)
+    )
+    return fit_statistics(side_a, side_b, refined, options.refine, thread_count(threads))
 
 
 def _without(sides: Mapping[int, JointSide], mask: NDArray[np.bool_] | None) -> Mapping[int, JointSide]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft
 
+from planish.geometry import Array
 from planish.measurement import Map
 from planish.registration.refine.spectrum import texture_spectrum
 
@@ -21,10 +22,13 @@ class FilteredTexture:
         0 where nothing is known.
     noise_passed : float
         Variance of what the filter leaves of the noise, over its stated variance.
+    pixels_per_value : float
+        Pixels per independent value: that of a correlation with a texture of the same spectrum, by Bartlett's formula.
     """
 
     value: Map
     noise_passed: float
+    pixels_per_value: float
 
 
 def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, Map] | None = None) -> FilteredTexture:
@@ -50,7 +54,7 @@ def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, 
     shape = value.shape[0], value.shape[1]
     size = fft.next_fast_len(shape[0], True), fft.next_fast_len(shape[1], True)
     if not known.any():
-        return FilteredTexture(np.zeros(shape, np.float32), 1.0)
+        return FilteredTexture(np.zeros(shape, np.float32), 1.0, 1.0)
     with np.errstate(invalid="ignore", divide="ignore"):
         score = np.where(known, value / sigma, np.float32(0))
     spectrum = texture_spectrum(score, known, size, apart)
@@ -67,5 +71,17 @@ def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, 
     passed = 2 * left.sum() - left[:, 0].sum()
     least = 1.0 / weight.size
     return FilteredTexture(
-        filtered[: shape[0], : shape[1]].astype(np.float32), max(float(passed) / (size[0] * size[1]), least)
+        filtered[: shape[0], : shape[1]].astype(np.float32),
+        max(float(passed) / (size[0] * size[1]), least),
+        _pixels_per_value((S + N) * weight, size),
     )
+
+
+def _pixels_per_value(power: Array, size: tuple[int, int]) -> float:
+    """Return sum of squares over square of the sum of a power spectrum (h, w // 2 + 1), times its frequencies.
+
+    The variance of the correlation of two unrelated textures of this spectrum is so many times that of white ones
+    (Bartlett 1935); of different spectra at most the geometric mean of both numbers (Cauchy-Schwarz), however turned.
+    """
+    first, second = (2 * (power**k).sum() - (power[:, 0] ** k).sum() for k in (1, 2))
+    return max(float(second / first**2) * size[0] * size[1], 1.0) if first > 0 else 1.0

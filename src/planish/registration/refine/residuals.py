@@ -27,8 +27,10 @@ class Equations:
     `slope_distance` and `slope_texture` are the sums of psi'(r) over those of psi(r) / r of the robust influence psi:
     by so much of H the gradient really changes. Of each tile (`tile` px) of b, `tile_gradients` (rows, columns, 2, 6)
     are the parts of the gradient of distance and texture, `tile_sizes` (rows, columns, 2, 2) number and sum of the
-    absolute values of the residuals. `g_blur` is the change of `g_distance` by the standard deviation of the blur.
-    `H_anchor` and `g_anchor` are those of windows (`Anchor`).
+    absolute values of the residuals, `tile_shading` (rows, columns, 18) the sums that gain and offset of its textures
+    follow from (`shading`): of J by the gain and by the offset, of the squares, of the residuals. `g_blur` is the
+    change of `g_distance` by the standard deviation of the blur. `H_anchor` and `g_anchor` are those of
+    windows (`Anchor`).
     """
 
     H_distance: Array
@@ -46,6 +48,7 @@ class Equations:
     tile: int
     tile_gradients: Array
     tile_sizes: Array
+    tile_shading: Array
     distances: Map
     differences: Map
     H_anchor: Array = field(default_factory=lambda: np.zeros((6, 6)))
@@ -56,7 +59,7 @@ class Equations:
 #: Standard deviation of normal values over their mean absolute value.
 _PER_MEAN_ABSOLUTE = float(np.sqrt(np.pi / 2))
 #: The scale of all tiles counts in each as much as so many of its own residuals.
-_PRIOR = 50.0
+PRIOR = 50.0
 #: Smallest scale, where there is no noise at all.
 _LEAST_SCALE = 1e-3
 
@@ -67,9 +70,9 @@ class Weights:
 
     Parameters
     ----------
-    values : ndarray (rows, columns, 2, 2) float32
-        Robust scale and weight of distances, of texture differences; the weight is that of a squared residual over its
-        noise.
+    values : ndarray (rows, columns, 2, 4) float32
+        Of distances, of texture differences: robust scale; weight of a squared residual over its noise; gain and offset
+        of a's texture over b's (of distances unused).
     tile : int
         Edge of a tile [px].
     """
@@ -81,7 +84,7 @@ class Weights:
     def alike(cls, b: JointSide, tile: int, distance: float = 1.0, texture: float = 1.0, scale: float = np.inf) -> Self:
         """Return weights by which all residuals of a kind count alike."""
         rows, columns = (-(-n // tile) for n in b.texture.shape)
-        of_tile = np.array([[scale, distance], [scale, texture]], np.float32)
+        of_tile = np.array([[scale, distance, 0, 0], [scale, texture, 0, 0]], np.float32)
         return cls(np.tile(of_tile, (rows, columns, 1, 1)), tile)
 
     @classmethod
@@ -93,12 +96,12 @@ class Weights:
         differences over that of their noise. Tiles that meet nothing, nor do their neighbours, weigh nothing: they need
         not be looked at again.
         """
-        out = np.empty(equations.tile_sizes.shape, np.float32)
-        met = _around(equations.tile_sizes[:, :, 0, 0]) > 0
+        out = np.zeros((*equations.tile_sizes.shape[:3], 4), np.float32)
+        met = around(equations.tile_sizes[:, :, 0, 0]) > 0
         for kind, expected in enumerate((1.0, np.sqrt(noise_passed))):
             number, absolute = np.moveaxis(equations.tile_sizes[:, :, kind], 2, 0)
             mean = absolute.sum() / max(number.sum(), 1.0)
-            scale = _PER_MEAN_ABSOLUTE * (_around(absolute) + _PRIOR * mean) / (_around(number) + _PRIOR)
+            scale = _PER_MEAN_ABSOLUTE * (around(absolute) + PRIOR * mean) / (around(number) + PRIOR)
             out[:, :, kind, 0] = np.maximum(scale, _LEAST_SCALE)
             out[:, :, kind, 1] = np.where(met, 1 / np.maximum(1.0, scale / expected) ** 2, 0.0)
         return cls(out, equations.tile)
@@ -109,6 +112,12 @@ class Weights:
         values[:, :, 1 - kind, 1] = 0
         return Weights(values, self.tile)
 
+    def shaded(self, shading: Map) -> Weights:
+        """Return the weights with gain and offset (rows, columns, 2) of the textures."""
+        values = self.values.copy()
+        values[:, :, 1, 2:] = shading
+        return Weights(values, self.tile)
+
     def on(self, shape: tuple[int, ...], tile: int) -> Map:
         """Return the values on the tiles of another size of an image, as the kernels take them."""
         rows, columns = (
@@ -116,13 +125,13 @@ class Weights:
             for n, k in zip(shape, self.values.shape, strict=False)
         )
         chosen = self.values[np.ix_(rows, columns)]
-        return np.ascontiguousarray(chosen.reshape(*chosen.shape[:2], 4))
+        return np.ascontiguousarray(chosen.reshape(*chosen.shape[:2], -1))
 
 
-def _around(values: Array) -> Array:
-    """Sums over each tile and its eight neighbours."""
-    padded = np.pad(values, 1)
-    rows, columns = values.shape
+def around(values: Array) -> Array:
+    """Return sums over each tile (rows, columns, ...) and its eight neighbours."""
+    padded = np.pad(values, ((1, 1), (1, 1), *[(0, 0)] * (values.ndim - 2)))
+    rows, columns = values.shape[:2]
     return np.asarray(sum(padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)))
 
 
@@ -143,14 +152,14 @@ def equations(
     """Return the normal equations of b against a; `weights` None = every residual counts alike (to find the scales)."""
     tile = tile_of(stride, tile_px)
     w = weights or Weights.alike(b, tile)
-    d, t, Hd, Ht, correlation, tiles, sizes, distances, differences = _core.joint_normal_equations(
+    d, t, Hd, Ht, correlation, tiles, sizes, shading, distances, differences = _core.joint_normal_equations(
         a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), np.asarray(about, float),
         (max_distance_mm, float(np.cos(max_normal_rad)), stride, tile), w.on(b.texture.shape, tile), residuals, threads,
     )  # fmt: skip
     shape = tiles.shape[:2]
     return Equations(
         d[0], d[1][0], t[0], t[1][0], Hd, Ht, d[4], t[4], d[2] + t[2], d[3], t[3], correlation, tile,
-        tiles.reshape(*shape, 2, 6), sizes.reshape(*shape, 2, 2), distances, differences, g_blur=d[5][0],
+        tiles.reshape(*shape, 2, 6), sizes.reshape(*shape, 2, 2), shading, distances, differences, g_blur=d[5][0],
     )  # fmt: skip
 
 

@@ -23,6 +23,8 @@ from planish.registration.tiles import held_out, tile_size_px
 _BEFORE_THINNING = 0.6
 #: A Gaussian of s px leaves 1 / (4 pi s^2) of the variance of white noise; of n^2 pixels one is taken.
 _THINNED_NOISE = 1 / (4 * np.pi * _BEFORE_THINNING**2)
+#: Pixels per independent value of white noise after that Gaussian: its power spectrum is one of 1 / sqrt(2) the width.
+_THINNED_PER_VALUE = 2 * np.pi * _BEFORE_THINNING**2
 #: Where the low-pass of the shading had less than this share of its window, the rim of the part or a shadow is near,
 #: and slow shading was left in the texture.
 _INSIDE = 0.9
@@ -50,6 +52,8 @@ class JointSide:
         0 = takes no part.
     noise_passed : float
         Variance that the texture's filter leaves of white noise of unit variance.
+    pixels_per_value : float
+        Pixels per independent value of the texture.
     """
 
     camera: Array
@@ -58,6 +62,7 @@ class JointSide:
     texture: Map
     use: NDArray[np.uint8]
     noise_passed: float
+    pixels_per_value: float = 1.0
 
     def without(self, mask: NDArray[np.bool_]) -> JointSide:
         """Return the same, without some pixels (of the whole resolution)."""
@@ -121,8 +126,11 @@ def joint_sides(
         camera = measurement.camera.kernel_parameters.copy()
         camera[:5] /= n
         use = np.ones(values.shape[:2], np.uint8)
-        passed = filtered.noise_passed if n == 1 else _THINNED_NOISE
-        sides[n] = JointSide(camera, n, values, np.ascontiguousarray(level[::n, ::n]), use, passed)
+        of_filter = filtered.noise_passed, filtered.pixels_per_value
+        smoothed = _THINNED_NOISE, max(filtered.pixels_per_value / n**2, _THINNED_PER_VALUE)
+        sides[n] = JointSide(
+            camera, n, values, np.ascontiguousarray(level[::n, ::n]), use, *(of_filter if n == 1 else smoothed)
+        )
     return sides
 
 

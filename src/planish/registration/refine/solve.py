@@ -14,6 +14,7 @@ from planish.options import Options, thread_count
 from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.information import held_directions, information
 from planish.registration.refine.residuals import Equations, Weights, equations
+from planish.registration.refine.shading import shading, without_shading
 from planish.registration.refine.sides import JointSide
 
 
@@ -134,20 +135,37 @@ class _Problem:
         )  # fmt: skip
         return found if self.anchor is None else self.anchor.hold(found, T, self.about)
 
+    def weights(self, a: JointSide, b: JointSide, T: Array, max_distance_mm: float, last: bool) -> Weights | None:
+        """Return what residuals count, None where too little is common; on the last level without their shading.
+
+        The tiles of coarse levels hold too few values for it.
+        """
+        spacing = b.spacing_px
+        stride, enough = -(-_WEIGHING_STRIDE // spacing), MIN_POINTS // spacing**2
+        plain = self.at(a, b, T, None, max_distance_mm, stride)
+        if plain.points * stride**2 < enough:
+            return None
+        noise_passed = (a.noise_passed + b.noise_passed) / 2
+        weights = Weights.from_residuals(plain, noise_passed)
+        if not last:
+            return weights
+        found = shading(self.at(a, b, T, weights, max_distance_mm, stride))
+        rest = self.at(a, b, T, Weights.alike(b, plain.tile).shaded(found), max_distance_mm, stride)
+        return Weights.from_residuals(rest, noise_passed).shaded(found)
+
     def solve(self, a: JointSide, b: JointSide, T: Array, max_distance_mm: float) -> Refined | None:
         """Return the solution of one level, None where too little is common."""
         spacing, last = b.spacing_px, b.spacing_px == self.options.spacing_px[-1]
-        stride = -(-_WEIGHING_STRIDE // spacing)
-        weighings, enough = 1 if last else _WEIGHINGS, MIN_POINTS // spacing**2
+        weighings = 1 if last else _WEIGHINGS
         weights, converged, step = None, False, np.inf
         for iteration in range(self.options.max_steps):
             # Weights follow the fit for the first steps, then stay, so that the cost is one function.
             if iteration < weighings:
-                plain = self.at(a, b, T, None, max_distance_mm, stride)
-                if plain.points * stride**2 < enough:
+                weights = self.weights(a, b, T, max_distance_mm, last)
+                if weights is None:
                     return None
-                weights = Weights.from_residuals(plain, (a.noise_passed + b.noise_passed) / 2)
             result = self.at(a, b, T, weights, max_distance_mm)
+            result = without_shading(result) if last else result
             xi, sigmas = _step(result, self.lever_mm, self.options.max_sigma_mm, afar=not last)
             T = perturb(T, xi, self.about)
             step = float(np.linalg.norm(xi[:3]) * self.lever_mm + np.linalg.norm(xi[3:]))

@@ -26,7 +26,7 @@ _SIGNIFICANT = 2.0
 #: Where one camera alone saw the texture, what stands at the quietest tenth of the frequencies is noise.
 _QUIET = 0.1
 #: Noise exceeds what is stated (pixel response, interpolation, dust, shading by noisy normals) by this factor at most.
-_MOST_NOISE = 2.0
+MOST_NOISE = 2.0
 #: What two cameras have in common is known to this share: one of them is read between its pixels.
 _UNCERTAIN = 0.5
 #: Contrasts beyond this are highlights and holes.
@@ -60,11 +60,11 @@ def texture_spectrum(
     number = float(known.sum())
     power = _averaged(_power(fft.rfft2(score, size)), size, _RESOLUTIONS[0]) / number
     if apart is None:
-        noise = np.clip(np.quantile(power, _QUIET), 1.0, _MOST_NOISE)
+        noise = np.clip(np.quantile(power, _QUIET), 1.0, MOST_NOISE)
         chance = noise / _root_of_averaged(number, _RESOLUTIONS[0])
         return Spectrum(np.maximum(power - noise - _SIGNIFICANT * chance, 0), np.full_like(power, noise))
-    signal = np.maximum(_common(apart, size, number), power - _MOST_NOISE)
-    return Spectrum(signal, np.clip(power - (1 + _UNCERTAIN) * signal, 1.0, _MOST_NOISE))
+    signal = np.maximum(_common(apart, size, number), power - MOST_NOISE)
+    return Spectrum(signal, np.clip(power - (1 + _UNCERTAIN) * signal, 1.0, MOST_NOISE))
 
 
 def _common(apart: tuple[Map, Map], size: tuple[int, int], number: float) -> Array:

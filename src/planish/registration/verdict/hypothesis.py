@@ -32,6 +32,14 @@ from planish.rig import Camera
 
 
 @dataclass(frozen=True)
+class Drift:
+    """How far a refinement left what agreed before it (rms) [mm], and how far it may."""
+
+    mm: float
+    limit_mm: float = np.inf
+
+
+@dataclass(frozen=True)
 class Hypothesis:
     """One motion of b into a with its evidence.
 
@@ -69,14 +77,26 @@ class Hypothesis:
         """Number of agreeing windows."""
         return int(self.windows.agrees.sum())
 
-    def drift_mm(self, T_a_b: Array) -> float:
-        """Return by how much another transform misplaces what agrees (rms) [mm]."""
-        chosen = self.windows.points_a[self.windows.agrees]
-        points_a = chosen if len(chosen) >= _MIN_WINDOWS else self.points_a
+    def drift(self, T_a_b: Array, pitch_mm: float) -> Drift:
+        """Return by how much another transform misplaces what agrees.
+
+        Each window was sought some millimetres around, so that their peaks do not lead to the nearest optimum, as
+        slopes do, but to the highest. Optima of one texture lie a pixel of the texture images (`pitch_mm`) apart at
+        least.
+        """
+        agrees = self.windows.agrees
+        chosen = self.windows.points_a[agrees]
+        fits = len(chosen) >= _MIN_WINDOWS
+        points_a = chosen if fits else self.points_a
         if len(points_a) == 0:
-            return 0.0
+            return Drift(0.0)
         moved = transform_points(T_a_b @ invert(self.T_a_b), points_a)
-        return float(np.sqrt(((moved - points_a) ** 2).sum(1).mean()))
+        mm = float(np.sqrt(((moved - points_a) ** 2).sum(1).mean()))
+        if not fits:
+            return Drift(mm)
+        # Six unknowns from two coordinates of each window.
+        sigma = float(np.sqrt((self.windows.offset_mm[agrees] ** 2).sum(1).mean() / 2 * 6 / (2 * len(chosen))))
+        return Drift(mm, 0.5 * pitch_mm + _SURELY * sigma)
 
     def anchor(self) -> Anchor | None:
         """Return what the agreeing windows hold the refinement by, or None where they are hardly more than chance."""
@@ -90,6 +110,8 @@ class Hypothesis:
         return Anchor(self.T_a_b, windows.points_a[agrees], float(scatter / np.sqrt(counted)))
 
 
+#: Standard deviations of the windows' fit that chance does not exceed.
+_SURELY = 5.0
 #: Transforms are fitted to what agrees at most so often.
 _FITS = 3
 #: Windows are fitted to where they agree so many times more often than by chance: else chance would draw the fit.

@@ -12,6 +12,7 @@ from planish.geometry import Array
 from planish.options import Options
 from planish.registration.consensus import CoarseResult, find_consensus
 from planish.registration.matches import Matches
+from planish.registration.refine.fit_statistics import FitStatistics
 from planish.registration.refine.kept_out import Agreement
 from planish.registration.refine.solve import Refined
 from planish.registration.result import Direction, Motion, RunnerUp, Status
@@ -19,7 +20,7 @@ from planish.registration.tiles import ground_sample_distance
 from planish.registration.verdict import reasons, still
 from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.geometry import Sight, line_of_sight
-from planish.registration.verdict.hypothesis import Hypothesis, apart, as_hypothesis, weigh
+from planish.registration.verdict.hypothesis import Drift, Hypothesis, apart, as_hypothesis, weigh
 from planish.registration.verdict.repeats import rival_transforms
 from planish.registration.verdict.rivals import Rivalry, alike, compare
 from planish.registration.verdict.verify import VerifyOptions
@@ -40,6 +41,9 @@ class VerdictOptions(Options):
     max_conflict_share: float = Field(default=0.3, gt=0, lt=1)
     #: The refined transform may leave the consensus by this much (rms over its members) [mm].
     max_drift_mm: float = Field(default=1.5, gt=0)
+    #: Surfaces that lie apart by more than this, beyond what noise explains, are not the same [mm]: a pixel of the
+    #: reference sensor, more than a usable calibration bends a surface by.
+    max_residual_mm: float = Field(default=0.33, gt=0)
     #: Significance of the correlation between the aligned textures, in standard deviations.
     min_correlation_sigma: float = Field(default=5.0, gt=0)
 
@@ -301,17 +305,18 @@ def _contradiction(sight: Sight, first: Hypothesis) -> Judgement:
 def judge_refined(
     refined: Refined | None,
     directions: tuple[Direction, ...],
-    drift_mm: float,
+    drift: Drift,
     sight: Sight,
     options: VerdictOptions,
     unmoved_mm: float | None = None,
     kept_out: Agreement | None = None,
+    fit: FitStatistics | None = None,
 ) -> Judgement | None:
     """Return why the refinement refutes the consensus, or None where it confirms it.
 
     `sight` is what the cameras say about the surfaces under the refined transform.
     `unmoved_mm` is given where all that agrees stands still in the image: by how much the part may have moved unseen.
-    `kept_out` is what the tiles say that took no part in the fit.
+    `kept_out` is what the tiles say that took no part in the fit, `fit` what the size of the residuals says.
     """
     if refined is None:
         return Judgement("refused", "the surfaces do not overlap under the transform that the texture suggests")
@@ -322,29 +327,38 @@ def judge_refined(
             "background that does not move with the part, or the part was not moved between the captures; its surface "
             "alone does not tell which (a plane slides unseen): move the part or the sensor by more than a few pixels",
         )
-    e = refined.equations
     if sight.conflict > options.max_conflict_share:
         return Judgement(
             "refused",
             f"geometry contradicts the texture: over {100 * sight.conflict:.0f} % of the overlap the surfaces hide one "
             "another from the cameras",
         )
-    if drift_mm > options.max_drift_mm:
-        return Judgement(
-            "refused", f"refinement left the consensus by {drift_mm:.2f} mm: texture and geometry do not agree"
-        )
-    significance = e.correlation * np.sqrt(e.texture_points / _INDEPENDENT_PX)
-    if significance < options.min_correlation_sigma:
-        return Judgement(
-            "refused",
-            f"the textures do not correlate where they should overlap (r = {e.correlation:.3f}, "
-            f"{significance:.1f} sigma)",
-        )
+    if drift.mm > min(drift.limit_mm, options.max_drift_mm):
+        return Judgement("refused", reasons.left_consensus(drift, options.max_drift_mm))
+    if fit is not None and (against := _residuals_against(fit, refined, options)) is not None:
+        return against
     if kept_out is not None and kept_out.contradicts and kept_out.shift_mm > options.max_drift_mm:
         return Judgement("refused", reasons.kept_out_elsewhere(kept_out))
     loose = [d for d in directions if not d.observable]
     return Judgement("refused", reasons.loose_directions(loose)) if loose else None
 
 
-#: Pixels per independent value of the smoothed textures (4 pi s^2 for a Gaussian of s = 1.5 px, rounded up).
-_INDEPENDENT_PX = 30.0
+#: Textures that have less than this share in common are unrelated rather than the same.
+_HALF = 0.5
+#: One-sided, by chance once in a million.
+_SURELY = 5.0
+
+
+def _residuals_against(fit: FitStatistics, refined: Refined, options: VerdictOptions) -> Judgement | None:
+    """Return why the size of the residuals refutes a fit, or None."""
+    if fit.correlation_sigma < options.min_correlation_sigma:
+        return Judgement(
+            "refused",
+            f"the textures do not correlate where they should overlap (r = {refined.equations.correlation:.3f}, "
+            f"{fit.correlation_sigma:.1f} sigma)",
+        )
+    if fit.most_common_texture + _SURELY * fit.sigma < _HALF:
+        return Judgement("refused", reasons.other_texture(fit))
+    if fit.distance_mm > options.max_residual_mm:
+        return Judgement("refused", reasons.other_surface(fit))
+    return None

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from planish.registration.refine.fit_statistics import FitStatistics
 from planish.registration.refine.kept_out import Agreement
 from planish.registration.result import Direction, RunnerUp
 from planish.registration.texture.resample import TextureImage
 from planish.registration.texture.strength import texture_strength
-from planish.registration.verdict.hypothesis import Hypothesis
+from planish.registration.verdict.hypothesis import Drift, Hypothesis
 
 #: Share of the texture's variance that is signal, above which a window of some 60 independent cells correlates by
 #: four standard deviations: 4 / sqrt(60) = 0.5.
@@ -73,6 +74,31 @@ def kept_out_elsewhere(kept_out: Agreement) -> str:
         f"a fifth of the overlap, kept out of the fit, lies {kept_out.shift_mm:.2f} mm off it (chi-squared "
         f"{kept_out.chi_squared:.0f} of {kept_out.directions} directions): the part moved or bent during the captures, "
         "or the overlap is too small for its texture; capture again, or take a view with more overlap"
+    )
+
+
+def left_consensus(drift: Drift, most_mm: float) -> str:
+    """Return why a refinement that left the consensus is not trusted."""
+    return (
+        f"refinement left the consensus by {drift.mm:.2f} mm ({min(drift.limit_mm, most_mm):.2f} mm allowed): texture "
+        "and geometry do not agree, or it ended where the texture looks alike"
+    )
+
+
+def other_texture(fit: FitStatistics) -> str:
+    """Return why the textures' differences refute a fit."""
+    return (
+        f"the refined textures differ by {fit.texture_scale:.1f} times what their noise explains and have "
+        f"{100 * max(fit.common_texture, 0):.0f} % of their variance in common: the refinement ended beside the "
+        "solution, or the surface was changed between the captures"
+    )
+
+
+def other_surface(fit: FitStatistics) -> str:
+    """Return why the surfaces' distances refute a fit."""
+    return (
+        f"the refined surfaces lie {fit.distance_mm:.2f} mm apart, {fit.distance_scale:.1f} times what their noise "
+        "explains: the part moved or bent between or during the captures, or the calibration does not hold"
     )
 
 
