@@ -3,6 +3,9 @@
     python benchmarks/network.py                    # drawn pairs: blunders, honesty, growth, given inputs; minutes
     python benchmarks/network.py --rendered small   # captures, measured and registered: 3 x 2 panel, ring, reduced
     python benchmarks/network.py --rendered full    # 8 x 5 panel of 2.4 m x 1.2 m, ring of 16, full resolution
+    python benchmarks/network.py --sizes 50 100     # growth of whole runs of files, of the sizes 50 100 200 400 1000
+
+Whole runs (networks_grown.py) go in cells: those that are there are not run again, and the table is made of all.
 
 Drawn pairs have the covariances of a plate with 3 % grain and an overlap of a third (networks.py). Rendered captures go
 through the whole registration, which tries all pairs: networks_rendered.py says what they cost.
@@ -12,8 +15,10 @@ from __future__ import annotations
 
 import argparse
 import resource
+import tempfile
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -163,8 +168,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--rendered", choices=("small", "full"))
+    parser.add_argument("--sizes", type=int, nargs="+", choices=(50, 100, 200, 400, 1000))
+    parser.add_argument("--again", action="store_true", help="run the sizes that are already there, too")
+    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "planish-network",
+                        help="folder for the measurements of --sizes")  # fmt: skip
     arguments = parser.parse_args()
-    if arguments.rendered is None:
+    if arguments.sizes is not None:
+        from networks_grown import grown
+
+        grown(arguments.sizes, arguments.cache, arguments.again)
+    elif arguments.rendered is None:
         drawn(arguments.seeds, f"python benchmarks/network.py --seeds {arguments.seeds}")
     else:
         from networks_rendered import rendered
