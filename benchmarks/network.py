@@ -1,7 +1,8 @@
 """The network: wrong pairs named, errors against covariances, growth; on drawn pairs and on rendered captures.
 
     python benchmarks/network.py                    # drawn pairs: blunders, honesty, growth, given inputs; minutes
-    python benchmarks/network.py --rendered small   # captures, measured and registered: 3 x 2 panel, ring, reduced
+    python benchmarks/network.py --rendered small   # captures, measured and registered: 3 x 2 panel, ring, reduced;
+                                                    # two parts mixed, a stranger, wrong pairs, a robot that errs
     python benchmarks/network.py --rendered full    # 8 x 5 panel of 2.4 m x 1.2 m, ring of 16, full resolution
     python benchmarks/network.py --sizes 50 100     # growth of whole runs of files, of the sizes 50 100 200 400 1000
 
@@ -183,6 +184,10 @@ def main() -> None:
         from networks_rendered import rendered
 
         rendered(arguments.rendered)
+        if arguments.rendered == "small":
+            from networks_faults import faults
+
+            faults()
 
 
 if __name__ == "__main__":

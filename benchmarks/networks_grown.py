@@ -1,7 +1,7 @@
 """Growth of whole runs: measurements of one large panel, from files to registration.json, 50 to 1000 of them.
 
 Captures of a fifth of the reference sensor's resolution (278 x 208 px, pixels of 1.6 mm), a grain that such pixels see
-(8 mm x 4 mm, 3 %) and nothing else, at most 500 keypoints per measurement: times grow as they do at full resolution,
+(8 mm x 4 mm, 3 %) and nothing else, at most 300 keypoints per measurement: times grow as they do at full resolution,
 each is far less. Measurements overlap their neighbours by 35 %; those of a smaller run are a part of those of a larger
 one. They are rendered and measured once and kept in a folder of temporary files; that is not timed. The run is
 `register_files` in a process of its own, on one thread, whose memory is that of the run.
@@ -42,7 +42,7 @@ GRIDS = {50: (10, 5), 100: (10, 10), 200: (20, 10), 400: (20, 20), 1000: (40, 25
 #: Resolution against the reference sensor's.
 SCALE = 0.2
 GRAIN = Texture(grain=Grain(0.03, 8.0, 4.0), scratches=None, specks=None, smudges=None)
-OPTIONS = RegisterOptions.parse({"keypoints": {"max_keypoints": 500}}, "options")
+OPTIONS = RegisterOptions.parse({"keypoints": {"max_keypoints": 300}}, "options")
 #: A gently bent panel, 12.4 m along the bend and 6 m across.
 PANEL = Cylinder(half_s=6200.0, half_t=3000.0, radius=20000.0)
 #: A wrong transform, as against one that is off by a part of a pixel of 1.6 mm [mm].
