@@ -140,6 +140,15 @@ def test_groups_and_the_two_sides_of_a_sheet_do_not_overlap():
     assert find_overlaps([one, nothing, one], T, together).share.tolist() == pytest.approx([1.0], abs=FLOAT32)
 
 
+def test_a_plate_that_lies_where_cells_divide_is_seen_all_the_same():
+    one = footprint(synthetic.measurement(np.eye(4), sheets.grain(), scale=0.1))
+    assert np.abs(one.points_sensor[:, 2]).max() < 0.2
+    # The network puts one a little below zero, the other one a little above.
+    T = np.array([exp_se3([0, 0, 0, 0, 0, z]) for z in (-0.4, 0.4)])
+    found = find_overlaps([one, one], T, np.zeros(2, np.int64))
+    assert found.share.tolist() == pytest.approx([1.0], abs=OVERLAP_TOLERANCE)
+
+
 def test_small_overlaps_are_left_out_and_a_crowded_place_does_not_try_all_pairs():
     names = [f"m{k:02d}" for k in range(30)]
     a, b = np.array(list(combinations(range(30), 2))).T

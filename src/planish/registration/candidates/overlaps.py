@@ -57,9 +57,20 @@ def find_overlaps(footprints: Sequence[Footprint], T_world: Array, group: NDArra
         [transform_points(T, f.points_sensor.astype(float)) for T, f in zip(T_world, footprints, strict=True)]
     )
     normals = np.concatenate([f.normals_sensor @ T[:3, :3].T for T, f in zip(T_world, footprints, strict=True)])
-    places = np.column_stack([group[owner], np.floor(points / cell_mm)]).astype(np.int64)
-    cell = np.unique(places, axis=0, return_inverse=True)[1].ravel()
-    shape = len(footprints), int(cell.max()) + 1
+    places = points / cell_mm
+    # A plate that lies just where one grid divides lies in the middle of the other one's cells.
+    shares = [_shares(np.floor(places + shift), normals, group, owner) for shift in (0.0, 0.5)]
+    share = shares[0].maximum(shares[1]).tocoo()
+    own = np.flatnonzero(share.row < share.col)
+    own = own[np.lexsort((share.col[own], share.row[own]))]
+    a, b = share.row[own].astype(np.int64), share.col[own].astype(np.int64)
+    return Overlaps(a, b, np.asarray(share.data[own], float))
+
+
+def _shares(places: Array, normals: Array, group: NDArray[np.int64], owner: NDArray[np.int64]) -> csr_array:
+    """Return the shares (n, n) of common cells; `places` (N, 3) are the cells of the points of `owner` (N,)."""
+    cell = _numbered(np.column_stack([group[owner], places]).astype(np.int64))
+    shape = len(group), int(cell.max()) + 1
     points_in = csr_array((np.ones(len(owner)), (owner, cell)), shape)
     points_in.sum_duplicates()
     cells = np.diff(points_in.indptr)
@@ -68,7 +79,15 @@ def find_overlaps(footprints: Sequence[Footprint], T_world: Array, group: NDArra
         part.sum_duplicates()
         part.data /= points_in.data
     common = sum((part @ part.T for part in mean[1:]), mean[0] @ mean[0].T).tocoo()
-    own = np.flatnonzero(common.row < common.col)
-    own = own[np.lexsort((common.col[own], common.row[own]))]
-    a, b = common.row[own].astype(np.int64), common.col[own].astype(np.int64)
-    return Overlaps(a, b, np.asarray(common.data[own] / np.minimum(cells[a], cells[b]), float))
+    smaller = np.minimum(cells[common.row], cells[common.col])
+    return csr_array((common.data / smaller, (common.row, common.col)), common.shape)
+
+
+def _numbered(places: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return a number (N,) for each row of whole numbers (N, k), the same for the same rows, from 0 on."""
+    number = np.zeros(len(places), np.int64)
+    for column in places.T:
+        own = np.unique(column, return_inverse=True)[1]
+        # After each column as small as there are different rows: nothing overflows.
+        number = np.unique(number * (own.max() + 1) + own, return_inverse=True)[1]
+    return number
