@@ -11,15 +11,11 @@ from __future__ import annotations
 
 import argparse
 import os
-import resource
 import tempfile
-import time
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
-from statistics import median
-from typing import Any
+from time import process_time
 
 import cv2
 import numpy as np
@@ -37,32 +33,11 @@ from planish.registration.texture.resample import TextureImage, texture_images
 from planish.simulation.scenes import make_scene
 from render_tables import save_table
 from rendered import measure_scene
+from timing import timed
 
 KEYPOINTS, DENSITY = 5000, 2.0
 #: Grey levels per robust deviation of the texture, and SIFT's contrast threshold, with which it finds most.
 GREY_PER_DEVIATION, SIFT_CONTRAST = 22.0, 0.02
-
-
-def timed(function: Callable[[], Any], runs: int) -> tuple[float, Any]:
-    """Return the median seconds of a call after one that does not count, and what it returned."""
-    found = function()
-    seconds = []
-    for _ in range(runs):
-        started = time.process_time()
-        function()
-        seconds.append(time.process_time() - started)
-    return median(seconds), found
-
-
-def elapsed(function: Callable[[], Any], runs: int) -> float:
-    """Return the median seconds on the clock of a call after one that does not count."""
-    function()
-    seconds = []
-    for _ in range(runs):
-        started = time.perf_counter()
-        function()
-        seconds.append(time.perf_counter() - started)
-    return median(seconds)
 
 
 def measured_pair() -> tuple[Measurement, Measurement]:
@@ -82,8 +57,9 @@ def peak_mib(files: tuple[Path, Path], options: RegisterOptions, pitch_mm: float
     """Return the largest memory [MiB] of a worker that reads, prepares and registers two measurements."""
     first, second = (prepare(Measurement.load(file), pitch_mm, options, 1) for file in files)
     register_pair(first, second, options, 1, 1)
-    # ru_maxrss counts kilobytes on Linux.
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    # Not ru_maxrss: a process inherits that from the one that has started it, here with images and peers in memory.
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(status["VmHWM"].split()[0]) / 1024
 
 
 def worker_memory(a: Measurement, b: Measurement, options: RegisterOptions, pitch_mm: float) -> float:
@@ -106,27 +82,27 @@ def main() -> None:
     options = RegisterOptions.model_validate({"keypoints": {"max_keypoints": KEYPOINTS}})
     options, pitch = options.scaled(length_factor(common_gsd([a, b]))), common_pitch([a, b])
     surface = fit_surface(a, options.surface, 1)
-    contrast_s, contrast = timed(lambda: local_contrast(a, options.photometric, surface, threads=1), runs)
-    drawing_s, images = timed(lambda: texture_images(a, surface, contrast, pitch, options.charts), runs)
-    keypoints_s, _ = timed(lambda: detect_keypoints(images, options.keypoints), runs)
+    contrast_s, contrast = timed(lambda: local_contrast(a, options.photometric, surface, threads=1), runs, process_time)
+    drawing_s, images = timed(lambda: texture_images(a, surface, contrast, pitch, options.charts), runs, process_time)
+    keypoints_s, _ = timed(lambda: detect_keypoints(images, options.keypoints), runs, process_time)
     greys = [grey_image(image) for image in images]
     sift = cv2.SIFT.create(KEYPOINTS, contrastThreshold=SIFT_CONTRAST)
-    sift_s, _ = timed(lambda: [sift.detectAndCompute(g, None) for g in greys], runs)
+    sift_s, _ = timed(lambda: [sift.detectAndCompute(g, None) for g in greys], runs, process_time)
     first, second = (prepare(m, pitch, options, 1) for m in (a, b))
     sides = [PatchSide(p.keypoints, p.images, p.patches) for p in (first, second)]
-    matching_s, matches = timed(lambda: match(*sides, options.match, 1), runs)
-    consensus_s, _ = timed(lambda: find_consensus(matches, options.consensus, 1), runs)
+    matching_s, matches = timed(lambda: match(*sides, options.match, 1), runs, process_time)
+    consensus_s, _ = timed(lambda: find_consensus(matches, options.consensus, 1), runs, process_time)
 
     def texture_on_two() -> None:
         found = local_contrast(a, options.photometric, surface, threads=2)
         texture_images(a, surface, found, pitch, options.charts, 2)
 
-    texture_wall_s = elapsed(texture_on_two, runs)
-    matching_wall_s = elapsed(lambda: find_consensus(match(*sides, options.match, 2), options.consensus, 2), runs)
-    pair_s, result = timed(lambda: register_pair(first, second, options, 1, 1), runs)
+    texture_wall_s, _ = timed(texture_on_two, runs)
+    matching_wall_s, _ = timed(lambda: find_consensus(match(*sides, options.match, 2), options.consensus, 2), runs)
+    pair_s, result = timed(lambda: register_pair(first, second, options, 1, 1), runs, process_time)
     matcher = cv2.BFMatcher(cv2.NORM_L2)
     words = [np.asarray(p.keypoints.descriptors, np.float32) for p in (first, second)]
-    brute_s, _ = timed(lambda: matcher.knnMatch(*words, k=2), runs)
+    brute_s, _ = timed(lambda: matcher.knnMatch(*words, k=2), runs, process_time)
     n = min(len(first.keypoints), len(second.keypoints))
     memory = worker_memory(a, b, options, pitch)
     rows = [

@@ -10,10 +10,7 @@ from __future__ import annotations
 
 import argparse
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
-from statistics import median
 
 import cv2
 import numpy as np
@@ -28,17 +25,7 @@ from planish.simulation.render import render_capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
 from render_tables import save_table
-
-
-def timed(function: Callable[[], object], runs: int) -> float:
-    """Median seconds of a call after one that does not count."""
-    function()
-    seconds = []
-    for _ in range(runs):
-        started = time.perf_counter()
-        function()
-        seconds.append(time.perf_counter() - started)
-    return median(seconds)
+from timing import timed
 
 
 def report(run: RegisteredRun, out: Path, threads: int) -> None:
@@ -56,22 +43,22 @@ def main() -> None:
     scene = make_scene("door", 1)
     with tempfile.TemporaryDirectory() as folder:
         captures = [Capture.load(f) for f in write_scene(scene, Path(folder), true_points=False)]
-        rendering = timed(lambda: render_capture(scene, 0, threads), runs)
+        rendering, _ = timed(lambda: render_capture(scene, 0, threads), runs)
 
         def read() -> None:
             for capture in captures:
                 for camera in capture.cameras:
                     capture.read_images(camera, threads)
 
-        reading = timed(read, runs)
+        reading, _ = timed(read, runs)
         measurements: list[Measurement] = [measure(capture, threads=threads) for capture in captures]
         textures = [np.clip(np.nan_to_num(m.views["A"].mean), 0, 255).astype(np.uint8) for m in measurements]
         cv2.setNumThreads(threads)
-        sift = timed(lambda: [cv2.SIFT.create().detectAndCompute(t, None) for t in textures], runs)
-        measuring = timed(lambda: [measure(capture, threads=threads) for capture in captures], runs)
-        registering = timed(lambda: register_run(measurements, threads=threads), runs)
+        sift, _ = timed(lambda: [cv2.SIFT.create().detectAndCompute(t, None) for t in textures], runs)
+        measuring, _ = timed(lambda: [measure(capture, threads=threads) for capture in captures], runs)
+        registering, _ = timed(lambda: register_run(measurements, threads=threads), runs)
         run = register_run(measurements, threads=threads)
-        reporting = timed(lambda: report(run, Path(folder) / "report", threads), runs)
+        reporting, _ = timed(lambda: report(run, Path(folder) / "report", threads), runs)
     floor, whole = reading + sift, measuring + registering
     rows = [
         {"what": "render one capture (2 x 14 images, core only)", "seconds": rendering},

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import platform
 import threading
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
 import tasks
+from planish import _core
 from planish.errors import InputError
 from planish.execution.cluster import DaskCluster, call_if_same_code
 from planish.execution.executor import Threads
@@ -190,3 +194,19 @@ def test_every_pair_is_in_one_block_and_neighbours_share_measurements():
     chain = list(pairwise(names))
     assert loads([pair for block in blocks(chain, 1) for pair in block], 3) == len(names)
     assert blocks([], 2) == []
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only its allocator can be told to give memory back")
+def test_what_lies_free_between_kept_arrays_goes_back_to_the_system():
+    def resident_mib():
+        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+    size_mib = 300
+    # So small that they do not get pages of their own.
+    arrays = [np.ones(2**14) for _ in range(size_mib * 8)]
+    kept = arrays[::50]
+    full = resident_mib()
+    del arrays
+    _core.release_memory()
+    assert len(kept) > 0
+    assert full - resident_mib() > 0.8 * size_mib

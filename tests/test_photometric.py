@@ -215,7 +215,7 @@ def test_the_projectors_light_on_a_bent_sheet_is_not_taken_for_texture(room):
 
 def test_the_shading_follows_the_cosine_and_the_square_of_the_distance():
     m, irradiance = lit_by_a_projector(sheets.quiet("a", 0.0))
-    shading = projector_shading(m, fit_surface(m), EVERY_PIXEL)
+    (shading,) = projector_shading(m, fit_surface(m), EVERY_PIXEL, (3.0,))
     ratio = shading / irradiance
     inner = ratio[10:-10, 10:-10]
     # Noise of the points turns the averaged normals by less than a milliradian.

@@ -11,6 +11,8 @@ from reference import texture as reference
 
 #: float32 sums of some ten terms near 1.
 ROUNDING = 2e-5
+#: Of float32 sums whose differences are a hundredth of them.
+PLANE_ROUNDING = 1e-4
 FACTOR, SHAPE, BLOCKS = 4, (30, 41), (8, 11)
 
 
@@ -37,6 +39,19 @@ def test_block_sums_leave_out_what_is_dark_saturated_or_unknown():
     )
     part = (drawn(3, SHAPE, 0, 1) > 0.3).astype(np.uint8)
     both(_core.block_sums(image, 10, 250, part, FACTOR, 2), reference.block_sums(image, 10, 250, part, FACTOR))
+
+
+def test_planes_through_blocks_are_those_of_least_squares():
+    weight = np.where(drawn(1, (13, 21), 0, 1) > 0.4, 16, 0).astype(np.float32)
+    weight[:, 12:] = 0
+    total = weight * drawn(2, weight.shape, 50, 200)
+    bell = np.exp(-0.5 * (np.arange(-4, 5) / 2.0) ** 2)
+    args = (total, weight, (bell / bell.sum()).tolist(), 0.05, 0.04, 0.5)
+    kernel = _core.local_planes(*args, 1)
+    assert np.isnan(kernel).any()
+    # Values of some hundred, so that float32 leaves a relative error.
+    np.testing.assert_allclose(kernel, reference.local_planes(*args), rtol=PLANE_ROUNDING)
+    assert kernel.tobytes() == _core.local_planes(*args, 3).tobytes()
 
 
 def test_the_kinds_of_a_cameras_images_are_combined_as_defined():

@@ -29,6 +29,7 @@ from planish.registration.verdict.false_alarms import (
 from planish.registration.verdict.geometry import Sight, line_of_sight
 from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined
 from planish.registration.verdict.still import geometry_stands_still, same_sensor, standing_still
+from planish.registration.verdict.together import Together
 from planish.registration.verdict.verify import Windows
 
 #: Accuracy of the incomplete beta function, as a logarithm.
@@ -210,7 +211,61 @@ def test_windows_whose_peaks_cluster_count_less():
 def windows(offset_mm, agrees, chance):
     n = len(agrees)
     flat, points, pixels = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 2))
-    return Windows(np.arange(n), points, pixels, pixels, pixels, offset_mm, flat, agrees, chance, flat)
+    nothing = Together(np.empty((n, 0)), np.empty((n, 0)), np.empty(0, bool))
+    return Windows(np.arange(n), points, pixels, pixels, pixels, offset_mm, flat, agrees, chance, flat, nothing)
+
+
+#: Search area of the surfaces made below [px], and the places of it that agree.
+REACH = 8
+NEAR = (np.hypot(*np.indices((2 * REACH + 1,) * 2) - REACH) <= 2).ravel()
+
+
+def surfaces(rng, n):
+    return rng.standard_normal((n, 2 * REACH + 1, 2 * REACH + 1))
+
+
+def test_chance_of_the_summed_windows_is_no_smaller_than_it_says():
+    rng = np.random.default_rng(0)
+    tails = [Together.of(surfaces(rng, 30) ** 3, surfaces(rng, 30), NEAR).log10_chance() for _ in range(500)]
+    for k in (0.5, 1.0, 1.5):
+        assert np.mean(np.array(tails) <= -k) <= 10**-k
+
+
+def test_windows_too_weak_to_peak_at_their_place_tell_it_together():
+    rng = np.random.default_rng(0)
+    surface = surfaces(rng, 150)
+    surface[:, REACH, REACH] += 1.0
+    peaks = surface.reshape(150, -1).argmax(1)
+    assert NEAR[peaks].mean() < 0.15
+    assert Together.of(surface, surfaces(rng, 150), NEAR).log10_chance() < -20
+
+
+def test_a_sum_that_is_higher_elsewhere_speaks_for_nothing():
+    rng = np.random.default_rng(0)
+    surface = surfaces(rng, 150)
+    surface[:, REACH, REACH] += 1.0
+    surface[:, REACH, 0] += 2.0
+    assert Together.of(surface, surfaces(rng, 150), NEAR).log10_chance() == 0.0
+
+
+def test_few_windows_with_texture_tell_it_among_many_without():
+    rng = np.random.default_rng(0)
+    surface, agrees = surfaces(rng, 200), np.zeros(200, bool)
+    surface[::8, REACH, REACH] += 2.0
+    together = Together.of(surface, surfaces(rng, 200), NEAR)
+    even = replace(windows(rng.uniform(-4, 4, (200, 2)), agrees, 0.05), together=together)
+    richest = replace(even, richness=np.where(np.arange(200) % 8 == 0, 1.2, 1.0))
+    assert log10_by_windows(richest) < log10_by_windows(even) - 5
+
+
+def test_windows_that_are_alike_count_less_together():
+    rng = np.random.default_rng(0)
+    surface, unrelated = surfaces(rng, 150), surfaces(rng, 150)
+    surface[:, REACH, REACH] += 1.0
+    # Ten windows on each of fifteen lines.
+    alike = np.repeat(unrelated[:15], 10, axis=0)
+    independent, clustered = (Together.of(surface, other, NEAR).log10_chance() for other in (unrelated, alike))
+    assert independent < 5 * clustered
 
 
 def test_surfaces_of_one_part_do_not_hide_each_other():

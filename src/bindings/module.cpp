@@ -5,6 +5,10 @@
 
 #include <thread>
 
+#if defined(__GLIBC__)
+#include <malloc.h>
+#endif
+
 #include "bindings/bindings.hpp"
 
 namespace {
@@ -17,11 +21,19 @@ bool cpu_has_avx2() {
 #endif
 }
 
+void release_memory() {
+#if defined(__GLIBC__)
+    malloc_trim(0);
+#endif
+}
+
 }  // namespace
 
 NB_MODULE(PLANISH_MODULE, m) {
     m.def("cpu_has_avx2", &cpu_has_avx2, "True where the AVX2 + FMA build of the kernels may be used.");
     m.def("cpu_count", [] { return static_cast<int>(std::thread::hardware_concurrency()); });
+    m.def("release_memory", &release_memory, nanobind::call_guard<nanobind::gil_scoped_release>(),
+          "Gives the system back what the allocator keeps of freed memory, where it can be told to.");
     bind_decoding(m);
     bind_sensing(m);
     bind_checks(m);

@@ -10,6 +10,7 @@
 #include "bindings/bindings.hpp"
 #include "core/contrast.hpp"
 #include "core/fixed_pattern.hpp"
+#include "core/local_plane.hpp"
 #include "core/sample_chart.hpp"
 
 namespace {
@@ -38,6 +39,17 @@ nb::tuple block_sums(const In<float, 2>& image, float low, float high, const In<
         planish::block_sums({in, low, high, seen_view(seen)}, factor, threads, sum.image, count.image);
     }
     return nb::make_tuple(sum.map(), count.map());
+}
+
+Out<float, 2> local_planes(const In<float, 2>& total, const In<float, 2>& weight, const std::vector<float>& bell,
+                           float least_weight, float thin, float steepest, int threads) {
+    const auto in = view<float, 2>(total);
+    Owned<float> out(in.height, in.width, 1);
+    {
+        nb::gil_scoped_release release;
+        planish::local_planes(in, view<float, 2>(weight), {bell, least_weight, thin, steepest}, threads, out.image);
+    }
+    return out.map();
 }
 
 /// K images with their ranges (low, high); per image inverse level and weight; K x K maps of the noise.
@@ -135,6 +147,8 @@ nb::tuple remove_pattern(const In<float, 2>& value, const In<float, 2>& variance
 
 void bind_texture(nb::module_& m) {
     m.def("block_sums", &block_sums, "image"_a, "low"_a, "high"_a, "seen"_a, "factor"_a, "threads"_a);
+    m.def("local_planes", &local_planes, "total"_a, "weight"_a, "bell"_a, "least_weight"_a, "thin"_a, "steepest"_a,
+          "threads"_a);
     m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "seen"_a, "inverse_level"_a, "weight"_a,
           "noise"_a, "factor"_a, "limit"_a, "threads"_a);
     m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "source"_a, "interpolated"_a, "threads"_a);

@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "core/parallel.hpp"
+#include "core/range.hpp"
 
 namespace planish {
 namespace {
@@ -27,15 +28,16 @@ Between between(float pixel, int step, int count) {
     return {first, std::min(first + 1, count - 1), std::clamp(at - static_cast<float>(first), 0.0F, 1.0F)};
 }
 
-/// Weighted sum of the first four values of the four nodes around a pixel; the first is the sum of the weights.
-Eigen::Array4f blend(const Image<const float>& nodes, const Between& row, const Between& column) {
-    const auto part = [&](int r, int c, float weight) -> Eigen::Array4f {
-        return (weight + least_weight) * Eigen::Map<const Eigen::Array4f>(nodes.at(r, c));
+/// Weighted sum of the values 1 to 4 of the four nodes around a pixel: the x axis, and one more.
+Eigen::Array4f blend(const Image<const float>& nodes, int row, int column, float down, float across) {
+    const float* corner = nodes.at(row, column);
+    const int right = column + 1 < nodes.width ? nodes.channels : 0,
+              below = row + 1 < nodes.height ? nodes.channels * nodes.width : 0;
+    const auto part = [&](int offset, float weight) -> Eigen::Array4f {
+        return (weight + least_weight) * Eigen::Map<const Eigen::Array4f>(corner + offset + 1);
     };
-    return part(row.first, column.first, (1 - row.weight) * (1 - column.weight)) +
-           part(row.first, column.second, (1 - row.weight) * column.weight) +
-           part(row.second, column.first, row.weight * (1 - column.weight)) +
-           part(row.second, column.second, row.weight * column.weight);
+    return part(0, (1 - down) * (1 - across)) + part(right, (1 - down) * across) + part(below, down * (1 - across)) +
+           part(below + right, down * across);
 }
 
 void grow(ChartExtent& extent, const ChartExtent& by) {
@@ -45,111 +47,62 @@ void grow(ChartExtent& extent, const ChartExtent& by) {
     extent.bottom = std::max(extent.bottom, by.bottom);
 }
 
-/// Linear interpolation of a map (H, W, 3) in the first three of four values; the place lies within it.
-Eigen::Array4f bilinear(const Image<const float>& map, float u, float v) {
-    const int column = std::clamp(static_cast<int>(u), 0, std::max(0, map.width - 2));
-    const int row = std::clamp(static_cast<int>(v), 0, std::max(0, map.height - 2));
-    const float fu = u - static_cast<float>(column), fv = v - static_cast<float>(row);
-    const bool last = row + 2 == map.height && column + 2 == map.width;
-    const auto at = [&](int r, int c) -> Eigen::Array4f {
-        const float* p = map.at(r, c);
-        // Nothing lies behind the last pixel.
+/// The places of a row of the raster between pixels and between nodes; what is NaN stays so in the shares.
+struct Places {
+    std::vector<int> row, column, node_row, node_column;
+    std::vector<float> down, across, node_down, node_across;
+
+    explicit Places(int width)
+        : row(width),
+          column(width),
+          node_row(width),
+          node_column(width),
+          down(width),
+          across(width),
+          node_down(width),
+          node_across(width) {}
+
+    void locate(const float* __restrict at, const Image<const float>& map, const Image<const float>& nodes, int step) {
+        split(at, 0, map.width, column.data(), across.data());
+        split(at, 1, map.height, row.data(), down.data());
+        part(at, 0, step, nodes.width, node_column.data(), node_across.data());
+        part(at, 1, step, nodes.height, node_row.data(), node_down.data());
+    }
+
+  private:
+    void split(const float* __restrict at, int axis, int count, int* __restrict index, float* __restrict share) const {
+        const auto last = static_cast<float>(std::max(0, count - 2));
+        for (std::size_t x = 0; x < row.size(); ++x) {
+            const float place = at[2 * x + axis], held = place > 0.0F ? place : 0.0F;
+            index[x] = static_cast<int>(held < last ? held : last);
+            share[x] = place - static_cast<float>(index[x]);
+        }
+    }
+    void part(const float* __restrict at, int axis, int step, int count, int* __restrict index,
+              float* __restrict share) const {
+        const auto first = static_cast<float>(step / 2), size = static_cast<float>(step),
+                   last = static_cast<float>(count - 1);
+        for (std::size_t x = 0; x < row.size(); ++x) {
+            const float node = (at[2 * x + axis] - first) / size, held = node > 0.0F ? node : 0.0F;
+            index[x] = static_cast<int>(held < last ? held : last);
+            const float beyond = node - static_cast<float>(index[x]), least = beyond < 0.0F ? 0.0F : beyond;
+            share[x] = least > 1.0F ? 1.0F : least;
+        }
+    }
+};
+
+/// Linear interpolation of a map (H, W, 3) in the first three of four values.
+Eigen::Array4f bilinear(const Image<const float>& map, int row, int column, float fu, float fv) {
+    const float* corner = map.at(row, column);
+    const int right = column + 1 < map.width ? 3 : 0, below = row + 1 < map.height ? 3 * map.width : 0;
+    // Nothing lies behind the last pixel.
+    const bool last = row + 2 >= map.height && column + 2 >= map.width;
+    const auto at = [&](int offset) -> Eigen::Array4f {
+        const float* p = corner + offset;
         if (last) return {p[0], p[1], p[2], 0.0F};
         return Eigen::Map<const Eigen::Array4f>(p);
     };
-    return (1 - fv) * ((1 - fu) * at(row, column) + fu * at(row, column + 1)) +
-           fv * ((1 - fu) * at(row + 1, column) + fu * at(row + 1, column + 1));
-}
-
-struct Corner {
-    float x, y;  // raster pixels
-    float u, v;  // camera pixels
-};
-
-/// Rows of a raster.
-struct Band {
-    int first, end;
-};
-
-/// Fills the pixels of a band of `source` inside a triangle that are still empty.
-void fill(const Image<float>& source, const Band& band, const Corner& a, const Corner& b, const Corner& c) {
-    const int y0 = std::max(band.first, static_cast<int>(std::ceil(std::min({a.y, b.y, c.y}))));
-    const int y1 = std::min(band.end - 1, static_cast<int>(std::floor(std::max({a.y, b.y, c.y}))));
-    const int x0 = std::max(0, static_cast<int>(std::ceil(std::min({a.x, b.x, c.x}))));
-    const int x1 = std::min(source.width - 1, static_cast<int>(std::floor(std::max({a.x, b.x, c.x}))));
-    // Most triangles lie between the raster's pixels.
-    if (y0 > y1 || x0 > x1) return;
-    const float area = (b.x - a.x) * (c.y - a.y) - (c.x - a.x) * (b.y - a.y);
-    if (!(std::fabs(area) > 1e-9F)) return;
-    for (int y = y0; y <= y1; ++y)
-        for (int x = x0; x <= x1; ++x) {
-            float* out = source.at(y, x);
-            if (!std::isnan(out[0])) continue;
-            const auto fx = static_cast<float>(x), fy = static_cast<float>(y);
-            const float wb = ((fx - a.x) * (c.y - a.y) - (c.x - a.x) * (fy - a.y)) / area;
-            const float wc = ((b.x - a.x) * (fy - a.y) - (fx - a.x) * (b.y - a.y)) / area;
-            const float wa = 1.0F - wb - wc;
-            // Slightly generous, so that no pixel falls into the crack between two triangles.
-            if (wa < -1e-4F || wb < -1e-4F || wc < -1e-4F) continue;
-            out[0] = wa * a.u + wb * b.u + wc * c.u;
-            out[1] = wa * a.v + wb * b.v + wc * c.v;
-        }
-}
-
-/// The places of one camera row in raster pixels, and the raster rows that they reach.
-struct Line {
-    std::vector<float> x, y;
-    float top = std::numeric_limits<float>::infinity(), bottom = -top;
-    int row = 0;
-
-    [[nodiscard]] Corner at(std::size_t u) const {
-        return {x[u], y[u], static_cast<float>(u), static_cast<float>(row)};
-    }
-};
-
-Line read_line(const Image<const float>& coordinates, const ChartRaster& raster, int v) {
-    Line line;
-    line.row = v;
-    line.x.resize(coordinates.width);
-    line.y.resize(coordinates.width);
-    const float* p = coordinates.row(v);
-    for (int u = 0; u < coordinates.width; ++u) {
-        line.x[u] = static_cast<float>((p[2 * u] - raster.x) / raster.pitch);
-        line.y[u] = static_cast<float>((p[2 * u + 1] - raster.y) / raster.pitch);
-    }
-    for (const float y : line.y) {
-        line.top = y < line.top ? y : line.top;  // false for NaN
-        line.bottom = y > line.bottom ? y : line.bottom;
-    }
-    return line;
-}
-
-/// Whether four corners have no whole number between them. Never true where b, c and one of a, d are known and have;
-/// no coordinate is below that of the first pixel, but for rounding, where 0 is assumed between.
-bool holds_none(float a, float b, float c, float d) {
-    const auto least = [](float p, float q) { return p < q ? p : q; };
-    const auto most = [](float p, float q) { return p > q ? p : q; };
-    const auto last = static_cast<float>(static_cast<int>(most(most(a, b), most(c, d))));
-    return last < least(least(a, b), least(c, d));
-}
-
-void fill_between(const Image<float>& source, const Band& band, const Line& above, const Line& below, float limit,
-                  std::vector<unsigned char>& empty) {
-    const std::size_t cells = above.x.size() - 1;
-    const float *ax = above.x.data(), *ay = above.y.data(), *bx = below.x.data(), *by = below.y.data();
-    for (std::size_t u = 0; u < cells; ++u)
-        empty[u] = static_cast<unsigned char>(holds_none(ax[u], ax[u + 1], bx[u], bx[u + 1]) |
-                                              holds_none(ay[u], ay[u + 1], by[u], by[u + 1]));
-    const auto near = [&](const Corner& a, const Corner& b) {  // false for NaN
-        return std::fabs(a.x - b.x) <= limit && std::fabs(a.y - b.y) <= limit;
-    };
-    for (std::size_t u = 0; u < cells; ++u) {
-        if (empty[u] != 0) continue;
-        const Corner a = above.at(u), b = above.at(u + 1), c = below.at(u), d = below.at(u + 1);
-        if (!near(b, c)) continue;
-        if (near(a, b) && near(a, c)) fill(source, band, a, b, c);
-        if (near(d, b) && near(d, c)) fill(source, band, d, c, b);
-    }
+    return (1 - fv) * ((1 - fu) * at(0) + fu * at(right)) + fv * ((1 - fu) * at(below) + fu * at(below + right));
 }
 
 /// The blend of the four nodes around the pixels of one row between two columns of nodes: sums of the weighted values,
@@ -190,36 +143,18 @@ void place_row(const RowBlend& blend, const Between* columns, const float* __res
     }
 }
 
-/// A row of vectors, each of whose components is a row.
-struct Vectors {
-    std::array<std::vector<float>, 3> component;
-
-    explicit Vectors(int width) { component.fill(std::vector<float>(width)); }
-    void set(int x, const Eigen::Array4f& value, int first) {
-        for (int i = 0; i < 3; ++i) component[i][x] = value[first + i];
-    }
-    void write(float* __restrict out) const {
-        const float *x = component[0].data(), *y = component[1].data(), *z = component[2].data();
-        for (std::size_t i = 0; i < component[0].size(); ++i) {
-            out[3 * i] = x[i];
-            out[3 * i + 1] = y[i];
-            out[3 * i + 2] = z[i];
-        }
-    }
-};
-
 /// Makes normals unit vectors, and axes unit tangents.
-void normalise(Vectors& normals, Vectors& axes) {
-    float *nx = normals.component[0].data(), *ny = normals.component[1].data(), *nz = normals.component[2].data();
-    float *ax = axes.component[0].data(), *ay = axes.component[1].data(), *az = axes.component[2].data();
-    for (std::size_t i = 0; i < normals.component[0].size(); ++i) {
-        const float per = 1 / std::sqrt(nx[i] * nx[i] + ny[i] * ny[i] + nz[i] * nz[i]);
-        const float x = nx[i] * per, y = ny[i] * per, z = nz[i] * per;
-        const float along = ax[i] * x + ay[i] * y + az[i] * z;
-        const float tx = ax[i] - along * x, ty = ay[i] - along * y, tz = az[i] - along * z;
+void normalise(float* __restrict normals, float* __restrict axes, int count) {
+    for (int i = 0; i < 3 * count; i += 3) {
+        const float nx = normals[i], ny = normals[i + 1], nz = normals[i + 2];
+        const float ax = axes[i], ay = axes[i + 1], az = axes[i + 2];
+        const float per = 1 / std::sqrt(nx * nx + ny * ny + nz * nz);
+        const float x = nx * per, y = ny * per, z = nz * per;
+        const float along = ax * x + ay * y + az * z;
+        const float tx = ax - along * x, ty = ay - along * y, tz = az - along * z;
         const float length = 1 / std::sqrt(tx * tx + ty * ty + tz * tz);
-        nx[i] = x, ny[i] = y, nz[i] = z;
-        ax[i] = tx * length, ay[i] = ty * length, az[i] = tz * length;
+        normals[i] = x, normals[i + 1] = y, normals[i + 2] = z;
+        axes[i] = tx * length, axes[i + 1] = ty * length, axes[i + 2] = tz * length;
     }
 }
 
@@ -232,6 +167,7 @@ ChartExtent chart_coordinates(const Image<const float>& points, const Image<cons
     for (int u = 0; u < points.width; ++u) columns[u] = between(static_cast<float>(u), step, nodes.width);
     std::vector<ChartExtent> extents(points.height, {far, far, -far, -far});
     parallel_for(points.height, threads, [&](std::size_t first, std::size_t last) {
+        std::vector<float> line(points.width);
         for (int v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
             const Between row = between(static_cast<float>(v), step, nodes.height);
             ChartExtent& extent = extents[v];
@@ -243,13 +179,11 @@ ChartExtent chart_coordinates(const Image<const float>& points, const Image<cons
                           coordinates.at(v, u));
                 u = end;
             }
-            const float* out = coordinates.row(v);
-            for (int u = 0; u < points.width; ++u) {
-                const float x = out[2 * u], y = out[2 * u + 1];
-                extent.left = x < extent.left ? x : extent.left;  // false for NaN
-                extent.right = x > extent.right ? x : extent.right;
-                extent.top = y < extent.top ? y : extent.top;
-                extent.bottom = y > extent.bottom ? y : extent.bottom;
+            for (std::size_t k = 0; k < 2; ++k) {
+                const float* out = coordinates.row(v) + k;
+                for (int u = 0; u < points.width; ++u) line[u] = out[2 * u];
+                range(line.data(), points.width, k == 0 ? extent.left : extent.top,
+                      k == 0 ? extent.right : extent.bottom);
             }
         }
     });
@@ -257,48 +191,34 @@ ChartExtent chart_coordinates(const Image<const float>& points, const Image<cons
     return extents[0];
 }
 
-void rasterise_chart(const Image<const float>& coordinates, const ChartRaster& raster, double max_edge, int threads,
-                     const Image<float>& source) {
-    std::fill_n(source.data, source.pixels() * 2, std::numeric_limits<float>::quiet_NaN());
-    std::vector<Line> lines(coordinates.height);
-    parallel_for(lines.size(), threads, [&](std::size_t first, std::size_t last) {
-        for (std::size_t v = first; v < last; ++v) lines[v] = read_line(coordinates, raster, static_cast<int>(v));
-    });
-    const auto limit = static_cast<float>(max_edge / raster.pitch);
-    // Bands of the raster side by side: every pixel meets the same triangles in the same order, whatever the bands.
-    parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {
-        const Band band{static_cast<int>(first), static_cast<int>(last)};
-        std::vector<unsigned char> empty(coordinates.width);
-        for (std::size_t v = 1; v < lines.size(); ++v) {
-            const Line &above = lines[v - 1], &below = lines[v];
-            if (std::min(above.top, below.top) <= static_cast<float>(last) &&
-                std::max(above.bottom, below.bottom) >= static_cast<float>(first))
-                fill_between(source, band, above, below, limit, empty);
-        }
-    });
-}
-
 void chart_surface(const Image<const float>& source, const Image<const float>& points,
                    const Image<const float>& normals, const Image<const float>& nodes, int step,
                    const ChartSurface& out, int threads) {
     constexpr float nan = std::numeric_limits<float>::quiet_NaN();
     parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {
-        Vectors point(source.width), normal(source.width), axis(source.width);
+        Places places(source.width);
+        // Vectors of three are written as four: the fourth value is overwritten by the next, and lies behind the row.
+        std::array<std::vector<float>, 3> rows;
+        rows.fill(std::vector<float>(3 * static_cast<std::size_t>(source.width) + 1));
         for (int y = static_cast<int>(first); y < static_cast<int>(last); ++y) {
-            for (int x = 0; x < source.width; ++x) {
-                const float *at = source.at(y, x), u = at[0], v = at[1];
-                if (std::isnan(u)) {
-                    for (auto* vectors : {&point, &normal, &axis}) vectors->set(x, Eigen::Array4f::Constant(nan), 0);
+            const float* at = source.row(y);
+            places.locate(at, points, nodes, step);
+            float *point = rows[0].data(), *normal = rows[1].data(), *axis = rows[2].data();
+            for (int x = 0; x < source.width; ++x, point += 3, normal += 3, axis += 3) {
+                Eigen::Map<Eigen::Array4f> to_point(point), to_normal(normal), to_axis(axis);
+                if (std::isnan(at[2 * x])) {
+                    to_point = to_normal = to_axis = Eigen::Array4f::Constant(nan);
                     continue;
                 }
-                point.set(x, bilinear(points, u, v), 0);
-                normal.set(x, bilinear(normals, u, v), 0);
-                axis.set(x, blend(nodes, between(v, step, nodes.height), between(u, step, nodes.width)), 1);
+                const float fu = places.across[x], fv = places.down[x];
+                to_point = bilinear(points, places.row[x], places.column[x], fu, fv);
+                to_normal = bilinear(normals, places.row[x], places.column[x], fu, fv);
+                to_axis =
+                    blend(nodes, places.node_row[x], places.node_column[x], places.node_down[x], places.node_across[x]);
             }
-            normalise(normal, axis);
-            point.write(out.points.row(y));
-            normal.write(out.normals.row(y));
-            axis.write(out.x_axis.row(y));
+            normalise(rows[1].data(), rows[2].data(), source.width);
+            const std::array<float*, 3> lines{out.points.row(y), out.normals.row(y), out.x_axis.row(y)};
+            for (std::size_t k = 0; k < 3; ++k) std::copy_n(rows[k].data(), 3 * source.width, lines[k]);
         }
     });
 }

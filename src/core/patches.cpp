@@ -98,15 +98,20 @@ std::array<float, block> products(const Square& a, const Disc& disc, const Squar
 /// A patch with its squares and where it has texture, as the normalisation needs them.
 struct Known {
     Square value, squared, known;
-    bool there = true;
+    bool there = true, whole = false;  ///< whole: with texture at every pixel of what is compared
 
     explicit Known(int half) : value(half), squared(half), known(half) {}
-    void complete() {
-        for (std::size_t i = 0; i < value.value.size(); ++i) {
-            const float v = value.value[i];
-            squared.value[i] = v * v;
-            known.value[i] = v != 0.0F ? 1.0F : 0.0F;
+    /// `pixels` is how many are compared.
+    void complete(float pixels) {
+        const auto size = static_cast<int>(value.value.size());
+        const float* __restrict v = value.value.data();
+        float* __restrict square = squared.value.data();
+        float* __restrict there_is = known.value.data();
+        for (int i = 0; i < size; ++i) {
+            square[i] = v[i] * v[i];
+            there_is[i] = v[i] != 0.0F ? 1.0F : 0.0F;
         }
+        whole = Eigen::Map<const Eigen::ArrayXf>(there_is, size).sum() == pixels;
     }
 };
 
@@ -114,20 +119,6 @@ struct Correlation {
     double value = -1.0;
     int pixels = 0;
 };
-
-/// Normalised over the pixels where both have texture, at the offsets (x - 1, y), (x, y), (x + 1, y).
-std::array<Correlation, 3> correlate(const Known& a, const Disc& disc, const Known& b, int x, int y) {
-    const auto ab = products(a.value, disc, b.value, x - 1, y);
-    const auto aa = products(a.squared, disc, b.known, x - 1, y);
-    const auto bb = products(a.known, disc, b.squared, x - 1, y);
-    const auto n = products(a.known, disc, b.known, x - 1, y);
-    std::array<Correlation, 3> out;
-    for (int i = 0; i < 3; ++i) {
-        const double norm = std::sqrt(static_cast<double>(aa[i]) * bb[i]);
-        if (norm > 0) out[i] = {ab[i] / norm, static_cast<int>(n[i])};
-    }
-    return out;
-}
 
 /// Place of the vertex of the parabola through (-1, low), (0, middle), (1, high), within half a step.
 double vertex(double low, double middle, double high) {
@@ -149,7 +140,11 @@ class Aligner {
           turned(2 * options.turns + 1, Square(options.radius)),
           energy(turned.size()),
           fan(5, Known(options.radius)),
-          wide(options.radius + options.reach + 1) {}
+          wide(options.radius + options.reach + 1),
+          under_disc(2 * options.reach + 3) {
+        for (std::size_t y = 0; y < disc.begin.size(); ++y)
+            disc_pixels += static_cast<float>(disc.end[y] - disc.begin[y]);
+    }
 
     PatchAlignment align(const Image<const float>& chart_a, const PatchPlace& a, const Image<const float>& chart_b,
                          const PatchPlace& b) {
@@ -158,7 +153,7 @@ class Aligner {
         sample(chart_b, b, 0.0, nullptr, wide.value);
         const Best coarse = search();
         if (coarse.value <= 0.0) return {};
-        wide.complete();
+        wide.complete(static_cast<float>(wide.value.side * wide.value.side));
         const double middle = (coarse.turn - o.turns) * o.turn_step;
         for (int t = -2; t <= 2; ++t) {
             Known& one = fan[t + 2];
@@ -169,7 +164,8 @@ class Aligner {
                 one.value = turned[whole];
             else
                 sample(chart_a, a, -(middle + t * 0.5 * o.turn_step), &disc, one.value);
-            one.complete();
+            one.complete(disc_pixels);
+            if (one.whole && wide.whole) fan_energy[t + 2] = products(one.squared, disc, wide.known, 0, 0)[0];
         }
         return fine(coarse, middle);
     }
@@ -199,13 +195,44 @@ class Aligner {
         return best;
     }
 
+    /// The energies of b under the disc at the offsets (x - 1 ... x + 3, y); they serve all turns of whole patches.
+    const std::array<float, block>& energy_of_b(const Known& a, int x, int y) {
+        auto& kept = under_disc[y + o.reach + 1];
+        if (!kept.known || kept.x != x) kept = {true, x, products(a.known, disc, wide.squared, x - 1, y)};
+        return kept.energy;
+    }
+
+    /// Normalised over the pixels where both have texture, at the offsets (x - 1, y), (x, y), (x + 1, y).
+    std::array<Correlation, 3> correlate(int turn, int x, int y) {
+        const Known& a = fan[turn];
+        const auto ab = products(a.value, disc, wide.value, x - 1, y);
+        std::array<float, block> aa, bb, n;
+        if (a.whole && wide.whole) {
+            // What does not depend on the offset, or not on the turn, is the same sum of the same values.
+            aa.fill(fan_energy[turn]);
+            n.fill(disc_pixels);
+            bb = energy_of_b(a, x, y);
+        } else {
+            aa = products(a.squared, disc, wide.known, x - 1, y);
+            bb = products(a.known, disc, wide.squared, x - 1, y);
+            n = products(a.known, disc, wide.known, x - 1, y);
+        }
+        std::array<Correlation, 3> out;
+        for (int i = 0; i < 3; ++i) {
+            const double norm = std::sqrt(static_cast<double>(aa[i]) * bb[i]);
+            if (norm > 0) out[i] = {ab[i] / norm, static_cast<int>(n[i])};
+        }
+        return out;
+    }
+
     /// The greatest correlation around the coarse one, with fractions of steps.
-    [[nodiscard]] PatchAlignment fine(const Best& coarse, double middle) const {
+    [[nodiscard]] PatchAlignment fine(const Best& coarse, double middle) {
+        for (auto& kept : under_disc) kept.known = false;
         Best best;
         Correlation at_best;
         for (int t = 1; t <= 3; ++t)
             for (int y = std::max(coarse.y - 1, -o.reach); y <= std::min(coarse.y + 1, o.reach); ++y) {
-                const auto row = correlate(fan[t], disc, wide, coarse.x, y);
+                const auto row = correlate(t, coarse.x, y);
                 for (int i = 0; i < 3; ++i) {
                     const int x = coarse.x + i - 1;
                     if (std::abs(x) > o.reach || row[i].value <= at_best.value) continue;
@@ -214,7 +241,7 @@ class Aligner {
                 }
             }
         if (at_best.pixels == 0) return {};
-        const auto at = [&](int t, int y) { return correlate(fan[t], disc, wide, best.x, y); };
+        const auto at = [&](int t, int y) { return correlate(t, best.x, y); };
         const auto row = at(best.turn, best.y);
         const double half_step = 0.5 * o.turn_step;
         const double x = best.x + vertex(row[0].value, best.value, row[2].value);
@@ -232,7 +259,16 @@ class Aligner {
     std::vector<Square> turned;
     std::vector<double> energy;
     std::vector<Known> fan;  ///< of a: half steps around the best rotation, from a whole step back to one on
-    Known wide;              ///< of b
+    std::array<float, 5> fan_energy{};
+    Known wide;  ///< of b
+    /// Energies of b under the disc, by the offset along y.
+    struct UnderDisc {
+        bool known = false;
+        int x = 0;
+        std::array<float, block> energy{};
+    };
+    std::vector<UnderDisc> under_disc;
+    float disc_pixels = 0;
     const PatchPlace* of_a = nullptr;
 };
 

@@ -1,4 +1,4 @@
-"""The texture kernels in NumPy: slow, short, from the definitions in src/core/{contrast,chart,fixed_pattern}.hpp."""
+"""The texture kernels in NumPy: slow, short, from the definitions in their headers in src/core/."""
 
 from __future__ import annotations
 
@@ -33,6 +33,24 @@ def block_sums(image, low, high, seen, factor):
         padded = np.pad(m, pad)
         h, w = (n // factor for n in padded.shape)
         out.append(padded.reshape(h, factor, w, factor).sum((1, 3)))
+    return out
+
+
+def local_planes(total, weight, bell, least_weight, thin, steepest):
+    """Weighted least squares of a plane at every block, each on its own."""
+    reach, out = len(bell) // 2, np.full(total.shape, np.nan)
+    padded = [np.pad(m.astype(float), reach) for m in (total, weight)]
+    y, x = np.indices((len(bell), len(bell))) - reach
+    window = np.outer(bell, bell)
+    for v, u in np.ndindex(total.shape):
+        t, w = (m[v : v + len(bell), u : u + len(bell)] * window for m in padded)
+        if w.sum() <= least_weight:
+            continue
+        mean, middle = t.sum() / w.sum(), np.array([(x * w).sum(), (y * w).sum()]) / w.sum()
+        from_middle = np.stack([x - middle[0], y - middle[1]])
+        spread_of = np.einsum("iyx,jyx,yx->ij", from_middle, from_middle, w) / w.sum() + thin * np.eye(2)
+        slope = np.linalg.solve(spread_of, (from_middle * t).sum((1, 2)) / w.sum())
+        out[v, u] = mean - np.clip(middle @ slope, -steepest * abs(mean), steepest * abs(mean))
     return out
 
 

@@ -19,7 +19,7 @@ from planish.execution.executor import Threads
 from planish.files.cloud import write_registered
 from planish.options import thread_count
 from planish.pipeline import measure
-from planish.pipeline.reporting import PreparedFiles, report_files
+from planish.pipeline.reporting import prepared_files, report_files
 from planish.registration.result import Registration
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
@@ -54,7 +54,7 @@ def demo(
     with Threads(threads) as executor:
         run = run_files(find_measurements([measured]), out, executor)
         with console.status("evaluating, writing cloud and report"):
-            prepared = PreparedFiles(run, count)
+            prepared = prepared_files(run, count)
             evaluation = compare_with_truth(run.registration, Truth.load(captures / "truth.json"), prepared)
             evaluation.save(out / "evaluation.json")
             write_registered(out, run.registration, prepared)

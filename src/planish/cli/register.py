@@ -22,7 +22,7 @@ from planish.execution.pool import WorkerPool
 from planish.files.cloud import write_registered
 from planish.files.given import GivenFiles
 from planish.pipeline import FileRun, RegisterOptions, add_files, register_files
-from planish.pipeline.reporting import PreparedFiles, report_files
+from planish.pipeline.reporting import prepared_files, report_files
 from planish.registration.result import Registration
 from planish.report.network import network_lines
 
@@ -192,7 +192,7 @@ def write_outputs(
     """Write registered.ply, report.html and the figures."""
     if cloud:
         with console.status("writing registered.ply"):
-            write_registered(out, run.registration, PreparedFiles(run), step)
+            write_registered(out, run.registration, prepared_files(run), step)
     if report:
         with console.status("writing report.html"):
             report_files(run, out, executor)

@@ -11,6 +11,8 @@ from typing import Any, BinaryIO
 
 import cv2
 
+from planish import _core
+
 
 def main() -> None:
     """Answer calls (function, item, threads) with (True, value) or (False, error), until the caller is gone."""
@@ -25,6 +27,8 @@ def main() -> None:
         content = _answer(inbox.get())
         answers.write(len(content).to_bytes(8, "little") + content)
         answers.flush()
+        # Maps of many sizes leave gaps behind that the allocator keeps: they would add up over the calls.
+        _core.release_memory()
 
 
 def read_message(stream: BinaryIO) -> bytes | None:

@@ -37,14 +37,14 @@ from planish.pipeline.stages import (
 from planish.pipeline.versions import versions
 from planish.registration.candidates.choose import Pair, choose_pairs, possible_pairs
 from planish.registration.candidates.footprint import Footprint
-from planish.registration.keypoints.keypoints import Keypoints
 from planish.registration.network.build import Node, build_network
-from planish.registration.pair import Prepared, length_factor, median_gsd, texture_pitch
+from planish.registration.pair import length_factor, median_gsd, texture_pitch
 from planish.registration.pair_costs import pair_costs
 from planish.registration.result import PairResult, Registration
 from planish.registration.texture.fixed_pattern import CAPTURES_PER_SUM
 
 Item = TypeVar("Item")
+Value = TypeVar("Value")
 
 #: Called with the name of a stage, what is done, what is to do, and how much of it was there already.
 FileProgress = Callable[[str, int, int, int], None]
@@ -175,30 +175,14 @@ class FileRun:
         return pair if seen is None else replace(pair, matches_px=seen.matches_px, consensus_px=seen.consensus_px)
 
 
-class KeypointFiles(Mapping[str, Keypoints]):
-    """Keypoints by the name of the measurement, each read when it is asked for."""
+class OfViews(Mapping[str, Value]):
+    """Something of each measurement by its name, read or made when it is asked for."""
 
-    def __init__(self, views: Mapping[str, View]) -> None:
-        self._views = views
+    def __init__(self, views: Mapping[str, View], of: Callable[[View], Value]) -> None:
+        self._views, self._of = views, of
 
-    def __getitem__(self, name: str) -> Keypoints:
-        return self._views[name].keypoints(1)[0]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._views)
-
-    def __len__(self) -> int:
-        return len(self._views)
-
-
-class PreparedViews(Mapping[str, Prepared]):
-    """What pairs need by the name of the measurement, each made when it is asked for."""
-
-    def __init__(self, views: Mapping[str, View], threads: int) -> None:
-        self._views, self._threads = views, threads
-
-    def __getitem__(self, name: str) -> Prepared:
-        return self._views[name].prepared(self._threads)
+    def __getitem__(self, name: str) -> Value:
+        return self._of(self._views[name])
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._views)
@@ -230,7 +214,8 @@ class _Run:
         nodes = self._nodes([sources[name] for name in views], given.surface is not None)
         pairs = self._known_pairs(views, options)
         tried, results = self._try_pairs(views, batches[-1], nodes, options, pairs)
-        costs = pair_costs(PreparedViews(views, self.executor.slots), options, self.executor.slots)
+        count = self.executor.slots
+        costs = pair_costs(OfViews(views, lambda view: view.prepared(count)), options, count)
         registration = build_network(
             nodes, results, options.network, reference=self.frozen.reference, record=options.model_dump(mode="json"),
             versions=versions(), given=given, normal_equations=costs,
@@ -304,7 +289,7 @@ class _Run:
     ) -> tuple[list[Pair], list[PairResult]]:
         """Add to the known pairs those that are tried because of the last batch; return these and all results."""
         new = last if self.frozen.batches else None
-        choice = choose_pairs(KeypointFiles(views), options.candidates, new)
+        choice = choose_pairs(OfViews(views, lambda view: view.keypoints(1)[0]), options.candidates, new)
         in_run = possible_pairs(len(views))
 
         def register(names: Sequence[Pair]) -> list[PairResult]:

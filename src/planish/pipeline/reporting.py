@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,27 +13,16 @@ from planish.evaluation.result import Evaluation
 from planish.execution.executor import Executor
 from planish.geometry import Array, invert
 from planish.options import thread_count
-from planish.pipeline.registering_files import FileRun
+from planish.pipeline.registering_files import FileRun, OfViews
 from planish.pipeline.stages import View
 from planish.registration.result import PlacedMeasurement
 from planish.report.page import write_scene
 from planish.report.scene import Item, Plan, Sample, Scene, draw, plan_scene, sample
 
 
-class PreparedFiles(Mapping[str, Prepared]):
-    """Measurements of a run by name with surface and texture, each read and computed when it is asked for."""
-
-    def __init__(self, run: FileRun, threads: int | None = None) -> None:
-        self._views, self._threads = run.views, threads
-
-    def __getitem__(self, name: str) -> Prepared:
-        return self._views[name].surfaced(self._threads)
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._views)
-
-    def __len__(self) -> int:
-        return len(self._views)
+def prepared_files(run: FileRun, threads: int | None = None) -> OfViews[Prepared]:
+    """Return the measurements of a run by name with surface and texture, each read and computed when asked for."""
+    return OfViews(run.views, lambda view: view.surfaced(threads))
 
 
 @dataclass(frozen=True)

@@ -207,17 +207,18 @@ def _excess(first: _Kind, other: _Kind, expected: Map, seen: Seen) -> np.float32
     height, width = first.image.shape
     factor = -(-height // expected.shape[0])
     step = max(1, round(np.sqrt(height * width / _COMPARED)))
+    samples = np.s_[step // 2 :: step, step // 2 :: step]
     rows, columns = (np.arange(step // 2, n, step) for n in (height, width))
     blocks = np.ix_(np.minimum(rows // factor, expected.shape[0] - 1), columns // factor)
     ratios = []
     with np.errstate(divide="ignore", invalid="ignore"):
         for kind in (first, other):
-            grey = kind.image[np.ix_(rows, columns)]
+            grey = kind.image[samples]
             ratios.append(
                 np.where((grey > kind.low) & (grey < kind.high), grey / kind.level[blocks], np.float32(np.nan))
             )
         normal = (ratios[1] - ratios[0]) / np.sqrt(expected[blocks])
-    normal = normal[np.isfinite(normal) & seen[np.ix_(rows, columns)]]
+    normal = normal[np.isfinite(normal) & seen[samples]]
     if normal.size < _MIN_COMPARED:
         return np.float32(0)
     deviation = _PER_MAD * float(np.median(np.abs(normal - np.median(normal))))

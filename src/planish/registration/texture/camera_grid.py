@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -29,14 +31,15 @@ def surface_seen(measurement: Measurement, name: str, lowpass: Lowpass) -> NDArr
     return np.ascontiguousarray(seen[:height, :width]).view(np.bool_)
 
 
-def from_camera_blocks(measurement: Measurement, name: str, blocks: Map, lowpass: Lowpass) -> Map:
+def from_camera_blocks(measurement: Measurement, name: str, maps: Sequence[Map], lowpass: Lowpass) -> tuple[Map, ...]:
     """Return blocks of a camera at the centres of the organising camera's blocks (h, w); NaN where unknown."""
     if name == measurement.organised_on:
-        return blocks
+        return tuple(maps)
     places = lowpass.centres(correspondence(measurement, name))
     places = (places + np.float32(0.5)) / np.float32(lowpass.factor) - np.float32(0.5)
     u, v = (np.nan_to_num(np.ascontiguousarray(places[..., i]), nan=-1e4) for i in (0, 1))
-    return cv2.remap(blocks, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=float("nan"))
+    constant, unknown = cv2.BORDER_CONSTANT, float("nan")
+    return tuple(cv2.remap(blocks, u, v, cv2.INTER_LINEAR, borderMode=constant, borderValue=unknown) for blocks in maps)
 
 
 def correspondence(measurement: Measurement, name: str) -> Map:

@@ -15,9 +15,6 @@ from planish.measurement import Map
 _SIGMA_BLOCKS = 2.0
 #: Share of the window that must be known.
 _MIN_DENSITY = 1e-3
-#: Exponents of x and y of the sums that a plane needs.
-_FIRST = ((0, 0), (1, 0), (0, 1))
-_SECOND = (*_FIRST, (2, 0), (1, 1), (0, 2))
 #: The window reaches so many standard deviations far.
 _REACH_SIGMAS = 4.0
 #: Across what is thinner than this share of the window's variance there is no slope; a half window has a third.
@@ -63,33 +60,15 @@ class Lowpass:
         A plane is fitted around each block (local linear regression: Fan and Gijbels 1996, section 3.2). At a rim, all
         that is known lies to one side: a mean would miss the slope of the light, and show the rim as a line.
         """
-        density, x, y, xx, xy, yy = self._moments(weight, _SECOND)
-        value, value_x, value_y = self._moments(total, _FIRST)
-        enough = density > _MIN_DENSITY * self.factor**2
-        with np.errstate(divide="ignore", invalid="ignore"):
-            mean, x, y = (m / density for m in (value, x, y))
-            thin = np.float32(_THIN * self._sigma_blocks**2)
-            xx, yy, xy = xx / density - x * x + thin, yy / density - y * y + thin, xy / density - x * y
-            slope_x, slope_y = value_x / density - x * mean, value_y / density - y * mean
-            # The plane at the block itself, (x, y) from the middle of what is known.
-            solved = (x * (yy * slope_x - xy * slope_y) + y * (xx * slope_y - xy * slope_x)) / (xx * yy - xy * xy)
-            limit = np.float32(_STEEPEST) * np.abs(mean)
-            return np.where(enough, mean - np.clip(solved, -limit, limit), np.float32(np.nan))
+        reach = round(_REACH_SIGMAS * self._sigma_blocks)
+        bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / self._sigma_blocks) ** 2)
+        least, thin = _MIN_DENSITY * self.factor**2, _THIN * self._sigma_blocks**2
+        total, weight = np.ascontiguousarray(total, np.float32), np.ascontiguousarray(weight, np.float32)
+        return _core.local_planes(total, weight, (bell / bell.sum()).tolist(), least, thin, _STEEPEST, self.threads)
 
     @property
     def _sigma_blocks(self) -> float:
         return self.sigma_px / self.factor
-
-    def _moments(self, blocks: Map, powers: tuple[tuple[int, int], ...]) -> list[Map]:
-        """Return the Gaussian-weighted sums (h, w) of blocks times x^i y^j around each block; 0 beyond the image."""
-        reach = round(_REACH_SIGMAS * self._sigma_blocks)
-        at = np.arange(-reach, reach + 1, dtype=np.float32)
-        bell = np.exp(-0.5 * (at / np.float32(self._sigma_blocks)) ** 2)
-        bell /= bell.sum()
-        # Correlation: the kernel's right lies right of the block.
-        return [
-            cv2.sepFilter2D(blocks, -1, bell * at**i, bell * at**j, borderType=cv2.BORDER_CONSTANT) for i, j in powers
-        ]
 
     def shape(self, image_shape: tuple[int, int]) -> tuple[int, int]:
         """Return (h, w) for an image of (H, W)."""

@@ -11,6 +11,7 @@ on the organising camera's grid; the other camera is read at the measured corres
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -18,7 +19,7 @@ from pydantic import Field
 
 from planish import _core
 from planish.measurement import Map, Measurement
-from planish.options import Options, thread_count
+from planish.options import Options, side_by_side, thread_count
 from planish.registration.surface import Surface, fit_surface
 from planish.registration.texture.camera_contrast import CameraContrast, camera_contrast
 from planish.registration.texture.camera_grid import correspondence, from_camera_blocks
@@ -70,51 +71,66 @@ def local_contrast(
     if not np.isfinite(gsd):
         nothing = np.full(measurement.shape, np.nan, np.float32)
         return nothing, nothing.copy()
-    lowpass = Lowpass.of(options.shading_mm / gsd, thread_count(threads))
-    relative = None
-    if measurement.rig.projector is not None:
-        surface = surface or fit_surface(measurement, threads=threads)
-        relative = _relative_shading(measurement, surface, lowpass, options)
-    seen = {
-        name: camera_contrast(measurement, name, lowpass, options.max_contrast) for name in measurement.texture_views
-    }
-    if fixed is not None:
-        for name, view in seen.items():
-            value, variance = fixed.remove(measurement, name, view.value, view.variance, lowpass.threads)
-            seen[name] = replace(view, value=value, variance=variance)
-    return _merge(measurement, seen, relative, lowpass, options)
+    count, names = thread_count(threads), measurement.texture_views
+    whole = Lowpass.of(options.shading_mm / gsd, count)
+    # Cameras and light side by side: much of each is too small to be shared out by rows.
+    lowpass = replace(whole, threads=max(1, count // max(1, len(names))))
+
+    def contrast(name: str) -> CameraContrast:
+        view = camera_contrast(measurement, name, lowpass, options.max_contrast)
+        if fixed is None:
+            return view
+        value, variance = fixed.remove(measurement, name, view.value, view.variance, lowpass.threads)
+        return replace(view, value=value, variance=variance)
+
+    def shading() -> Map | None:
+        if measurement.rig.projector is None:
+            return None
+        own = surface or fit_surface(measurement, threads=lowpass.threads)
+        return _relative_shading(measurement, own, lowpass, options)
+
+    relative, *views = side_by_side([shading, *(partial(contrast, name) for name in names)], count)
+    seen = dict(zip(names, views, strict=True))
+    levels = _on_own_blocks(measurement, seen, lowpass)
+    trust = _highlight_trust([level for level, _ in levels], options.highlight_excess)
+    images = side_by_side(
+        [
+            partial(_image, measurement, name, view, room, relative, lowpass)
+            for (name, view), (_, room) in zip(seen.items(), levels, strict=True)
+        ],
+        count,
+    )
+    parts = [(*image, counted) for image, counted in zip(images, trust, strict=True)]
+    return _core.merge_contrasts(parts, measurement.valid.view(np.uint8), whole.factor, count)
 
 
-def _merge(
-    measurement: Measurement,
-    seen: dict[str, CameraContrast],
-    relative: Map | None,
-    lowpass: Lowpass,
-    options: PhotometricOptions,
-) -> tuple[Map, Map]:
-    """Return value and sigma (H, W) of all cameras together on the organising grid."""
-    levels = [from_camera_blocks(measurement, name, view.level, lowpass) for name, view in seen.items()]
-    trust = _highlight_trust(levels, options.highlight_excess)
-    images = []
-    for (name, view), counted in zip(seen.items(), trust, strict=True):
-        own = name == measurement.organised_on
-        place = np.empty((0, 0, 2), np.float32) if own else correspondence(measurement, name)
-        level = fill_gaps(view.level, 0.0)
-        image, variance = _core.compensated_image(
-            view.value, view.variance, level, lowpass.factor, place, lowpass.threads
-        )
-        # Over the same pixels for all cameras and the light.
-        total, count = lowpass.sums(image, seen=measurement.valid)
-        expected = lowpass.ratio(total, count)
-        if relative is not None:
-            # With I = albedo S, lowpass(I) S / lowpass(S) is S times the local mean of the albedo, weighted by S. Room
-            # light does not follow S.
-            room = fill_gaps(from_camera_blocks(measurement, name, view.room_share, lowpass), 0.0)
-            expected = expected * (relative + room * (1 - relative))
-        expected = expected * _left_over(total, count, expected, lowpass)
-        variance *= np.float32(lowpass.noise_left(2) / lowpass.noise_left())
-        images.append((image, variance, expected, counted))
-    return _core.merge_contrasts(images, measurement.valid.view(np.uint8), lowpass.factor, lowpass.threads)
+def _on_own_blocks(
+    measurement: Measurement, seen: dict[str, CameraContrast], lowpass: Lowpass
+) -> list[tuple[Map, Map]]:
+    """Return level and share of room light (h, w) of each camera on the organising grid."""
+    maps = [from_camera_blocks(measurement, name, (v.level, v.room_share), lowpass) for name, v in seen.items()]
+    return [(level, room) for level, room in maps]
+
+
+def _image(
+    measurement: Measurement, name: str, view: CameraContrast, room: Map, relative: Map | None, lowpass: Lowpass
+) -> tuple[Map, Map, Map]:
+    """Return a camera's image, its variance (H, W) and what even albedo would show (h, w), on the organising grid."""
+    own = name == measurement.organised_on
+    place = np.empty((0, 0, 2), np.float32) if own else correspondence(measurement, name)
+    level = fill_gaps(view.level, 0.0)
+    image, variance = _core.compensated_image(view.value, view.variance, level, lowpass.factor, place, lowpass.threads)
+    # Over the same pixels for all cameras and the light.
+    total, count = lowpass.sums(image, seen=measurement.valid)
+    expected = lowpass.ratio(total, count)
+    if relative is not None:
+        # With I = albedo S, lowpass(I) S / lowpass(S) is S times the local mean of the albedo, weighted by S. Room
+        # light does not follow S.
+        room = fill_gaps(room, 0.0)
+        expected = expected * (relative + room * (1 - relative))
+    expected = expected * _left_over(total, count, expected, lowpass)
+    variance *= np.float32(lowpass.noise_left(2) / lowpass.noise_left())
+    return image, variance, expected
 
 
 def _left_over(total: Map, count: Map, expected: Map, lowpass: Lowpass) -> Map:
@@ -135,8 +151,10 @@ def _relative_shading(measurement: Measurement, surface: Surface, lowpass: Lowpa
     over a long one, counts as far as its power around a place exceeds that of noise (Wiener filter).
     """
     fine, smooth = (
-        _over_lowpass(projector_shading(measurement, surface, lowpass, k * options.normal_mm), lowpass)
-        for k in (1.0, _SMOOTHER)
+        _over_lowpass(shading, lowpass)
+        for shading in projector_shading(
+            measurement, surface, lowpass, (options.normal_mm, _SMOOTHER * options.normal_mm)
+        )
     )
     detail, known = np.nan_to_num(fine - smooth), np.isfinite(fine).astype(np.float32)
     deviation = max(1.0, _SMOOTHER * options.normal_mm / (measurement.sample_distance_mm * lowpass.factor) / 2)

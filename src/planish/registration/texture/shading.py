@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
@@ -14,11 +16,13 @@ from planish.registration.tiles import ground_sample_distance
 _MIN_COSINE = 0.05
 
 
-def projector_shading(measurement: Measurement, surface: Surface, lowpass: Lowpass, normal_mm: float = 3.0) -> Map:
-    """Return the projector's irradiance (h, w) at the blocks of a low-pass.
+def projector_shading(
+    measurement: Measurement, surface: Surface, lowpass: Lowpass, lengths_mm: Sequence[float]
+) -> list[Map]:
+    """Return the projector's irradiance (h, w) at the blocks of a low-pass, once per length of `lengths_mm`.
 
     cos(incidence) / distance^2 for a point source (Lambert's law), up to a factor; NaN where there is no surface.
-    Normals are averaged over `normal_mm` [mm].
+    Normals are averaged over the length [mm].
     """
     projector = measurement.rig.projector
     assert projector is not None, "shading needs a projector"
@@ -26,22 +30,27 @@ def projector_shading(measurement: Measurement, surface: Surface, lowpass: Lowpa
     centre = projector.center_sensor.astype(np.float32)
     to_light = centre - points
     squared = np.einsum("hwi,hwi->hw", to_light, to_light)
-    size = normal_mm / (ground_sample_distance(measurement) * lowpass.factor)
-    cosine = np.einsum("hwi,hwi->hw", _averaged(normals, size), to_light) / np.sqrt(squared)
     # The distances are taken relative to a typical one, so that the values are near 1.
-    typical = float(np.linalg.norm(centre - _middle(points)))
-    return np.maximum(cosine, np.float32(_MIN_COSINE)) * np.float32(typical**2) / squared
+    typical = np.float32(float(np.linalg.norm(centre - _middle(points))) ** 2)
+    distance = np.sqrt(squared)
+    known = np.isfinite(normals[..., :1])
+    filled = np.where(known, normals, np.float32(0))
+    shadings = []
+    for length_mm in lengths_mm:
+        size = length_mm / (ground_sample_distance(measurement) * lowpass.factor)
+        averaged = np.where(known, _averaged(filled, size), np.float32(np.nan))
+        cosine = np.einsum("hwi,hwi->hw", averaged, to_light) / distance
+        shadings.append(np.maximum(cosine, np.float32(_MIN_COSINE)) * typical / squared)
+    return shadings
 
 
 def _averaged(normals: Map, size_blocks: float) -> Map:
-    """Return unit normals averaged over a window of `size_blocks`, which may be a fraction."""
-    known = np.isfinite(normals[..., 0])
+    """Return unit normals, 0 where unknown, averaged over a window of `size_blocks`, which may be a fraction."""
     # A box of the same variance as a Gaussian.
     deviation = max(size_blocks, 1.0) / np.sqrt(12.0)
-    total = cv2.GaussianBlur(np.where(known[..., None], normals, np.float32(0)), (0, 0), deviation)
+    total = cv2.GaussianBlur(normals, (0, 0), deviation)
     with np.errstate(divide="ignore", invalid="ignore"):
-        unit = total / np.linalg.norm(total, axis=2, keepdims=True)
-    return np.where(known[..., None], unit, np.float32(np.nan))
+        return np.asarray(total / np.sqrt(np.einsum("hwi,hwi->hw", total, total))[..., None])
 
 
 def _middle(points: Map) -> Map:

@@ -163,17 +163,20 @@ def log10_by_windows(windows: Windows) -> float:
     """Return log10 of the chance that so many windows agree where the textures have nothing to do with each other.
 
     Under chance a peak stands anywhere in the search area. Where textures are alike over more than a window (lines,
-    streaks, patterns), peaks come in clusters: numbers are divided by their dispersion. All windows are asked, and
-    those of the most signal, which does not depend on where the peaks stand; the best counts, times their number.
+    streaks, patterns), peaks come in clusters: numbers are divided by their dispersion. Asked is also the sum of the
+    correlations (`Together`), for weak texture whose peaks are lost in noise. All windows are asked, and those of the
+    most signal, which does not depend on where the peaks stand; the best counts, times the number of tests.
     """
     factor = dispersion(windows)
-    order = np.argsort(-windows.expected, kind="stable")
+    order = np.argsort(-windows.richness, kind="stable")
     tails = []
     for share in _RICHEST:
-        agrees = windows.agrees[order[: int(np.ceil(share * len(order)))]]
+        richest = order[: int(np.ceil(share * len(order)))]
+        agrees = windows.agrees[richest]
         trials = int(len(agrees) / factor)
         tails.append(log10_binomial_tail(min(trials, int(agrees.sum() / factor)), trials, windows.chance))
-    return float(min(0.0, min(tails) + np.log10(len(_RICHEST))))
+        tails.append(windows.together.take(richest).log10_chance())
+    return float(min(0.0, min(tails) + np.log10(len(tails))))
 
 
 #: Shares of the windows, those of the most signal first: sparse marks on a blank part fill few windows.

@@ -22,6 +22,7 @@ from planish.options import Options
 from planish.registration.texture.resample import TextureImage
 from planish.registration.texture.sampling import parabola_vertex, sample
 from planish.registration.verdict.aligned import Aligned, Side, align
+from planish.registration.verdict.together import Together
 
 
 class VerifyOptions(Options):
@@ -61,8 +62,11 @@ class Windows:
         Whether the peak lies within `agree_mm`.
     chance : float
         Share of the search area that counts as agreement.
-    expected : ndarray (n,)
-        Correlation that the noise alone leaves of two pictures of one texture (1 = no noise).
+    richness : ndarray (n,)
+        Variance of both textures over that of their noise. Not what exceeds the noise: where texture is weak, the
+        uncertainty of the noise would make all windows alike.
+    together : Together
+        How high the correlation is at every place of the search area, for the test of all windows in one.
     """
 
     cell: NDArray[np.int64]
@@ -74,7 +78,8 @@ class Windows:
     score: Array
     agrees: NDArray[np.bool_]
     chance: float
-    expected: Array
+    richness: Array
+    together: Together
 
     def __len__(self) -> int:
         return len(self.cell)
@@ -88,8 +93,9 @@ class Windows:
 
     def take(self, index: NDArray[np.bool_]) -> Windows:
         """Return the windows at `index`."""
-        parts = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return Windows(**{name: part if name == "chance" else part[index] for name, part in parts.items()})
+        parts = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("chance", "together")}
+        own = {name: part[index] for name, part in parts.items()}
+        return Windows(**own, chance=self.chance, together=self.together.take(index))
 
 
 def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | None = None, every: int = 1) -> Windows:
@@ -106,9 +112,9 @@ def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | N
     charts = align(a, b, T_a_b, options.gate_mm, lattice_px)
     cut = [(number, part) for number, part in enumerate(_cut(c, options, every) for c in charts) if len(part.centre)]
     if not cut:
-        return _no_windows(float(near.mean()))
+        return _no_windows(near)
     value_a, value_b, noise = (np.concatenate([getattr(part, name) for _, part in cut]) for name in ("a", "b", "noise"))
-    surface, expected = _correlation(value_a, value_b, noise, window, search)
+    surface, unrelated, richness = _correlation(value_a, value_b, noise, window, search)
     flat = surface.reshape(len(surface), -1)
     peak = np.argmax(flat, 1)
     offset_px = _refined_peak(surface, peak, search)
@@ -120,7 +126,7 @@ def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | N
     cell, points, pixels_a, pixels_b, found_b = (np.concatenate(x) for x in zip(*places, strict=True))
     return Windows(
         cell, points, pixels_a, pixels_b, found_b, offset_px * pitch, flat[:, near].max(1), near[peak],
-        float(near.mean()), expected,
+        float(near.mean()), richness, Together.of(surface, unrelated, near),
     )  # fmt: skip
 
 
@@ -134,11 +140,12 @@ def screening_step(a: Side, options: VerifyOptions) -> int:
 _SCREENED = 200
 
 
-def _no_windows(chance: float) -> Windows:
-    none, pixels = np.empty(0), np.empty((0, 2))
+def _no_windows(near: NDArray[np.bool_]) -> Windows:
+    none, pixels, heights = np.empty(0), np.empty((0, 2)), np.empty((0, len(near)), np.float32)
     return Windows(
-        np.empty(0, np.int64), np.empty((0, 3)), pixels, pixels, pixels, pixels, none, np.empty(0, bool), chance, none
-    )
+        np.empty(0, np.int64), np.empty((0, 3)), pixels, pixels, pixels, pixels, none, np.empty(0, bool),
+        float(near.mean()), none, Together(heights, heights, near),
+    )  # fmt: skip
 
 
 def _refined_peak(surface: Array, peak: NDArray[np.intp], search: int) -> Array:
@@ -239,8 +246,10 @@ def _clipped(values: Map) -> Map:
     return np.asarray(np.clip(values, -limit, limit))
 
 
-def _correlation(a: Map, b: Map, noise: Array, window: int, search: int) -> tuple[Array, Array]:
+def _correlation(a: Map, b: Map, noise: Array, window: int, search: int) -> tuple[Array, Array, Array]:
     """Matched filter of n windows over their search areas (n, 2 search + 1, 2 search + 1), as a coefficient.
+
+    The second of the results is that of each window of a with another one of b: they have no texture in common.
 
     Weighted by signal over power of both spectra, S / (P_a P_b): the likelihood ratio of a common weak signal in
     coloured noise (Van Trees, Detection, Estimation and Modulation Theory I, section 4.3); the mean periodogram of all
@@ -258,19 +267,19 @@ def _correlation(a: Map, b: Map, noise: Array, window: int, search: int) -> tupl
     floor_a, floor_b = (1e-3 * p.mean() + 1e-30 for p in (power_a, power_b))
     weight = signal / ((power_a + floor_a) * (power_b + floor_b))
     weight[0, 0] = 0.0
-    surface = fft.irfft2(np.conj(F_a) * F_b * weight, s=(size, size))
     # Shifts -search ... search: b's window begins `search` px before a's.
     index = np.arange(-search, search + 1)
-    surface = surface[:, index[:, None], index[None, :]]
+    surface, unrelated = (
+        fft.irfft2(np.conj(F_a) * other * weight, s=(size, size))[:, index[:, None], index[None, :]]
+        for other in (F_b, np.roll(F_b, max(1, len(F_b) // 2), axis=0))
+    )
     # Coefficient of the weighted textures; b's share of its whole window's energy is that of the area.
     twice = np.full(weight.shape, 2.0)
     twice[:, 0] = 1.0
     energy_a, energy_b = ((np.abs(F) ** 2 * (weight * twice)).sum((1, 2)) / size**2 for F in (F_a, F_b))
     surface /= (np.sqrt(energy_a * energy_b) * window / size)[:, None, None] + 1e-30
-    variance_a = (a**2).sum((1, 2)) / window**2
-    variance_b = (b**2).mean((1, 2))
-    variance = np.maximum(np.column_stack([variance_a, variance_b]), 1e-30)
-    return surface, np.sqrt(np.clip(1 - noise / variance, 0, 1).prod(1))
+    variance = (a**2).sum((1, 2)) / window**2 * (b**2).mean((1, 2))
+    return surface, unrelated, variance / np.maximum(noise.prod(1), 1e-30)
 
 
 #: Share of the power that counts as signal at least.
