@@ -23,14 +23,15 @@ from planish.registration.keypoints.keypoints import Keypoints
 class CandidateOptions(Options):
     """Options of the choice of pairs."""
 
-    #: Runs of up to so many measurements try all pairs: some twice as many as votes would choose, and none is lost.
+    #: Runs of up to so many measurements try all pairs: some four times as many as rounds would choose, none is lost.
     exhaustive_up_to: int = Field(default=40, ge=1)
     #: Most descriptors that are compared per measurement, the surest of each chart and scale.
     descriptors: int = Field(default=5000, ge=10)
     #: Random trees that neighbours are sought in.
     trees: int = Field(default=4, ge=1)
     #: Partners that each measurement is tried with, those with the most significant votes first, whatever these say.
-    partners: int = Field(default=12, ge=1)
+    #: One that is right places a measurement: what else it overlaps is seen then.
+    partners: int = Field(default=6, ge=1)
     #: Most partners whose votes are significant that each measurement is tried with.
     most_partners: int = Field(default=24, ge=1)
     #: Votes that exceed chance by so many standard deviations are significant.
