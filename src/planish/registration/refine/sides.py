@@ -15,6 +15,7 @@ from planish.measurement import Map, Measurement
 from planish.options import thread_count
 from planish.registration.refine.blur import height_by_blur
 from planish.registration.refine.filtering import filter_texture
+from planish.registration.refine.spectrum import seen_apart
 from planish.registration.surface import Surface
 from planish.registration.tiles import held_out, tile_size_px
 
@@ -101,9 +102,9 @@ def joint_sides(
     gsd = measurement.sample_distance_mm
     shading_px = shading_mm / gsd if np.isfinite(gsd) else 1.0
     value, sigma = contrast
-    filtered = filter_texture(value, sigma, shading_px)
     known = np.isfinite(value)
     inside = known & _inside(measurement.valid, known, shading_px)
+    filtered = filter_texture(value, sigma, shading_px, seen_apart(measurement, inside, sigma, shading_px))
     texture = np.where(known, filtered.value, np.float32(np.nan))
     # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
     points = np.where(np.isfinite(surface.points_sensor), measurement.points_sensor, np.float32(np.nan))
