@@ -198,6 +198,7 @@ COLUMNS = {
 def save_growth() -> None:
     """Save the table of the cells that are there, with the exponent of the time."""
     rows = sorted((row for cell in read_cells(FOLDER) for row in cell["rows"]), key=lambda row: row["measurements"])
+    sizes = " ".join(str(row["measurements"]) for row in rows)
     if len(rows) > 1:
         log = [np.log([row[key] for row in rows]) for key in ("measurements", "tried", "seconds", "pairs_s", "rest_s")]
         fitted = {
@@ -206,7 +207,7 @@ def save_growth() -> None:
         }
         rows.append({"measurements": "fitted exponent", **fitted})
     rows = [{key: _text(row, key) for key in COLUMNS} for row in rows]
-    save_table(FOLDER, COLUMNS, rows, "python benchmarks/network.py --sizes 50 100 200 400 1000")
+    save_table(FOLDER, COLUMNS, rows, f"python benchmarks/network.py --sizes {sizes}")
 
 
 def _text(row: dict[str, Any], key: str) -> Any:
