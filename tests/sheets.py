@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 import synthetic
+from planish import _core
 from planish.geometry import perturb, transform_points
 from planish.measurement import NoiseModel
 from planish.registration.pair import PairOptions, prepare
@@ -76,6 +77,14 @@ def pair(bend=BENT, contrast=0.03, seed=1):
 def errors_mm(T_hat, T_true, points_b):
     """Distances (N,) [mm] by which T_hat misplaces points of b."""
     return np.linalg.norm(transform_points(T_hat, points_b) - transform_points(T_true, points_b), axis=-1)
+
+
+def texture_gradient(texture, surface):
+    """Gradient (H, W, 3) of a texture (H, W) along a surface [1/mm], as the refinement sees it."""
+    nothing = np.zeros(texture.shape, np.float32)
+    points = surface.points_sensor
+    maps = (points, nothing, surface.normals_sensor, surface.tangents_sensor, nothing, texture, nothing)
+    return _core.joint_values(maps, np.zeros(3), 0.0, 0.0, 1, 2)[..., 8:11]
 
 
 OPTIONS = PairOptions()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import sheets
-from planish.registration.refine.blur import _phase_shifts, _quadratic_fits, _spread, height_by_blur
+from planish.registration.refine.blur import _means, _phase_shifts, _quadratic_fits, _spread, height_by_blur
 from planish.registration.surface import fit_surface
 
 #: Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 of quadratic fields about (0, 0).
@@ -52,12 +52,19 @@ def test_cameras_that_see_alike_are_shifted_alike():
 def test_the_fit_of_a_quadratic_field_is_exact_at_a_rim_too():
     v, u = np.indices((60, 80)).astype(float)
     known = u > 20
-    field = quadratic(U_B, u - 40, v - 30).astype(np.float32)
+    # Means over two pixels: derivatives are per pixel all the same.
+    field = quadratic(U_B, 2 * (u - 40), 2 * (v - 30)).astype(np.float32)
     (found,), enough = _quadratic_fits([field], known, np.array([30, 30]), np.array([40, 22]))
     assert enough.all()
-    # float32 sums over a window of 25 px.
+    # float32 sums over a window of 13 px.
     np.testing.assert_allclose(found[0, 1:], U_B[1:], atol=2e-5)
     np.testing.assert_allclose(found[1, 3:], U_B[3:], atol=2e-4)
+
+
+def test_a_square_of_pixels_with_an_unknown_one_is_unknown():
+    field = np.arange(20, dtype=np.float32).reshape(4, 5)
+    field[1, 1] = np.nan
+    np.testing.assert_array_equal(_means(field), [[np.nan, 5.0], [13.0, 15.0]])
 
 
 def test_values_spread_from_the_nearest_known_one():

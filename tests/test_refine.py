@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import sheets
-from planish import _core
 from planish.geometry import difference, exp_se3, invert, perturb
 from planish.registration.pair import prepare, refine_pair
 from planish.registration.refine.covariance import noise_covariance
@@ -158,7 +157,7 @@ def smooth_side(m):
     smooth = smooth_texture(value, np.isfinite(value), 5.0)
     values = side.values.copy()
     values[..., 7] = sigma**2
-    values[..., 8:11] = _core.tangential_gradient(smooth, surface.tangents_sensor, 1)
+    values[..., 8:11] = sheets.texture_gradient(smooth, surface)
     return replace(side, values=values, texture=smooth)
 
 

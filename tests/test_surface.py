@@ -9,7 +9,6 @@ import pytest
 
 import sheets
 import synthetic
-from planish import _core
 from planish.geometry import exp_se3, transform_points
 from planish.registration.surface import SurfaceOptions, fit_surface
 from reference import surface as reference
@@ -113,7 +112,7 @@ def test_the_gradient_of_a_linear_texture_is_its_slope_along_the_surface():
     surface = fit_surface(m)
     slope = np.array([0.002, -0.005, 0.01])
     texture = (surface.points_sensor.astype(float) @ slope).astype(np.float32)
-    gradient = _core.tangential_gradient(texture, surface.tangents_sensor, 2)
+    gradient = sheets.texture_gradient(texture, surface)
     n = surface.normals_sensor.astype(float)
     expected = slope - (n @ slope)[..., None] * n
     assert np.isnan(gradient[[0, -1]]).all()
@@ -125,7 +124,7 @@ def test_the_gradient_is_the_one_of_its_definition(holed):
     surface = fit_surface(holed)
     texture = np.random.default_rng(0).standard_normal(holed.shape).astype(np.float32)
     texture[holed.rejected != 0] = np.nan
-    gradient = _core.tangential_gradient(texture, surface.tangents_sensor, 2)
+    gradient = sheets.texture_gradient(texture, surface)
     rows, columns = np.nonzero(np.isfinite(gradient[..., 0]))
     for i in range(0, len(rows), 997):
         expected = reference.gradient_of_pixel(texture, surface.tangents_sensor, columns[i], rows[i])

@@ -10,6 +10,8 @@
 #include "core/consensus.hpp"
 #include "core/joint.hpp"
 #include "core/joint_pull.hpp"
+#include "core/joint_values.hpp"
+#include "core/locate_texture.hpp"
 #include "core/match.hpp"
 #include "core/patches.hpp"
 #include "core/surface.hpp"
@@ -190,14 +192,21 @@ nb::tuple joint_pull(const nb::tuple& maps_a, const In<double, 1>& camera_a, con
     return nb::make_tuple(tiles.maps(), pixels.map());
 }
 
-Out<float, 3> tangential_gradient(const In<float, 2>& texture, const In<float, 3>& tangents, int threads) {
-    const auto in = view<float, 2>(texture);
-    Owned<float> gradient(in.height, in.width, 3);
+/// Points, sigma, normals, tangents, displacement by blur, texture and its sigma: see planish::JointSources.
+Out<float, 3> joint_values(const nb::tuple& maps, const In<double, 1>& centre, double blur, double blur_sigma,
+                           int spacing, int threads) {
+    const auto three = [&](int k) { return view<float, 3>(nb::cast<In<float, 3>>(maps[k])); };
+    const auto two = [&](int k) { return view<float, 2>(nb::cast<In<float, 2>>(maps[k])); };
+    const planish::JointSources in{three(0), two(1), three(2), three(3), two(4), two(5), two(6)};
+    const planish::JointValueOptions options{Eigen::Vector3d(centre(0), centre(1), centre(2)).cast<float>(),
+                                             static_cast<float>(blur), static_cast<float>(blur_sigma), spacing};
+    const auto thinned = [&](int n) { return (n + spacing - 1) / spacing; };
+    Owned<float> values(thinned(in.points.height), thinned(in.points.width), planish::joint::channels);
     {
         nb::gil_scoped_release release;
-        planish::tangential_gradient(in, view<float, 3>(tangents), threads, gradient.image);
+        planish::joint_values(in, options, threads, values.image);
     }
-    return gradient.maps();
+    return values.maps();
 }
 
 Out<std::int32_t, 2> nearest_rows(const std::vector<planish::Nearest>& found) {
@@ -265,10 +274,24 @@ Out<double, 2> align_patches(const nb::list& charts_a, const In<double, 2>& plac
     return out.map();
 }
 
+/// See planish::locate_texture.
+Out<float, 3> locate_texture(const In<float, 3>& points_a, const In<float, 3>& normals_a,
+                             const In<std::uint8_t, 2>& own, const In<double, 1>& camera_b,
+                             const In<float, 3>& points_b, const In<double, 2>& T_b_a, double gate, int threads) {
+    const planish::TextureSurface a{view<float, 3>(points_a), view<float, 3>(normals_a), view<std::uint8_t, 2>(own)};
+    const auto camera = camera_from(camera_b);
+    const Rigid T(T_b_a);
+    Owned<float> source(a.points.height, a.points.width, 2);
+    {
+        nb::gil_scoped_release release;
+        planish::locate_texture(a, camera, view<float, 3>(points_b), T.R, T.t, gate, threads, source.image);
+    }
+    return source.maps();
+}
+
 }  // namespace
 
 void bind_registration(nb::module_& m) {
-    m.def("tangential_gradient", &tangential_gradient, "texture"_a, "tangents"_a, "threads"_a);
     m.def("nearest_descriptors", &nearest_descriptors, "a"_a, "size_a"_a, "b"_a, "size_b"_a, "max_size_ratio"_a,
           "threads"_a);
     m.def("align_patches", &align_patches, "charts_a"_a, "places_a"_a, "chart_a"_a, "charts_b"_a, "places_b"_a,
@@ -282,6 +305,9 @@ void bind_registration(nb::module_& m) {
           "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
           "options"_a, "weights"_a, "with_residuals"_a, "threads"_a);
+    m.def("locate_texture", &locate_texture, "points_a"_a, "normals_a"_a, "own"_a, "camera_b"_a, "points_b"_a,
+          "T_b_a"_a, "gate"_a, "threads"_a);
+    m.def("joint_values", &joint_values, "maps"_a, "centre"_a, "blur"_a, "blur_sigma"_a, "spacing"_a, "threads"_a);
     m.def("joint_pull", &joint_pull, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a, "options"_a,
           "weights"_a, "threads"_a);
 }

@@ -31,47 +31,100 @@ namespace {
 
 /// Pixels that are added up together, as many lanes as one instruction takes, and pairs (i <= j) of six.
 constexpr int kBatch = 64, kLanes = 8, kPairs = 21;
-/// Pixels whose places are found before they are compared: so long does memory take to answer.
-constexpr int kAhead = 16;
 
 using Lanes = Eigen::Array<float, kLanes, 1>;
-using Column = Eigen::Array<float, kBatch, 1>;
+using Lanes3 = std::array<Lanes, 3>;
+/// Keeps opposite normals, which do not count, from a division by zero.
+constexpr float kLeastSquare = 1e-6F;
 
-/// Residuals of one kind of up to `kBatch` pixels, in units of their noise, with both sides' derivatives.
+/// Columns of a `Batch`; vectors take three.
+enum Column {
+    lever = 0,
+    normal_a = 3,
+    normal_b = 6,
+    gradient_a = 9,
+    gradient_b = 12,
+    distance = 15,
+    variance,
+    blur,
+    value_a,
+    value_b,
+    variance_texture,
+    textured,
+    columns
+};
+
+/// What up to `kBatch` pixels and their places in a hold, all of it finite; normals and gradients of b in its own
+/// frame.
 struct Batch {
     int count = 0;
-    /// x, y, z of the lever; of a's, b's and the mean derivative by a displacement; the residual; its change by the
-    /// blur.
-    std::array<Column, 14> columns;
+    std::array<std::array<float, kBatch>, columns> values{};
+    std::array<std::array<int, 2>, kBatch> pixels{};
 
-    Batch() { columns.fill(Column::Zero()); }
-    void add(float residual, const Eigen::Vector3f& lever, const Eigen::Vector3f& a, const Eigen::Vector3f& b,
-             const Eigen::Vector3f& mean, float blur) {
+    Batch() {
+        values[variance].fill(1.0F);
+        values[variance_texture].fill(1.0F);
+    }
+    void add(const Meeting& m, const Eigen::Vector3d& about, const float* b, float texture_a, float texture_b) {
+        const Eigen::Vector3f from = (m.x - about).cast<float>();
         for (int i = 0; i < 3; ++i) {
-            columns[i][count] = lever[i];
-            columns[3 + i][count] = a[i];
-            columns[6 + i][count] = b[i];
-            columns[9 + i][count] = mean[i];
+            values[lever + i][count] = from[i];
+            values[normal_a + i][count] = m.normal_a[i];
+            values[normal_b + i][count] = b[joint::normal + i];
         }
-        columns[12][count] = residual;
-        columns[13][count] = blur;
+        values[Column::distance][count] = m.distance;
+        values[variance][count] = m.variance_distance + b[joint::variance_distance];
+        values[Column::blur][count] = b[joint::blur] - m.blur_a;
+        pixels[count] = {m.v, m.u};
+        const float both = m.variance_texture + b[joint::variance_texture];
+        const float all = texture_a + texture_b + both + m.gradient_a[0] + b[joint::gradient];
+        const bool known = all == all;
+        values[textured][count] = known ? 1.0F : 0.0F;
+        if (known) {
+            for (int i = 0; i < 3; ++i) {
+                values[gradient_a + i][count] = m.gradient_a[i];
+                values[gradient_b + i][count] = b[joint::gradient + i];
+            }
+            values[value_a][count] = texture_a;
+            values[value_b][count] = texture_b;
+            values[variance_texture][count] = both;
+        }
         ++count;
     }
-    [[nodiscard]] Lanes lanes(int column, int first) const { return columns[column].segment<kLanes>(first); }
-    /// Derivatives of eight residuals by xi, from those by a displacement in three columns.
-    [[nodiscard]] std::array<Lanes, 6> jacobian(int column, int first) const {
-        const Lanes x = lanes(0, first), y = lanes(1, first), z = lanes(2, first);
-        const Lanes p = lanes(column, first), q = lanes(column + 1, first), s = lanes(column + 2, first);
-        return {y * s - z * q, z * p - x * s, x * q - y * p, p, q, s};
+    [[nodiscard]] Lanes lanes(int column, int first) const { return Lanes::Map(&values[column][first]); }
+    [[nodiscard]] Lanes3 vectors(int column, int first) const {
+        return {lanes(column, first), lanes(column + 1, first), lanes(column + 2, first)};
     }
 };
+
+/// Eight residuals in units of their noise, both sides' and the mean derivative by a displacement, the residuals'
+/// change by the blur; `there` is 1, or 0 where nothing of it counts.
+struct Residuals {
+    Lanes there, residual, blur;
+    Lanes3 a, b, mean;
+};
+
+Lanes dot(const Lanes3& p, const Lanes3& q) { return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]; }
+
+Lanes3 turned(const Eigen::Matrix3f& R, const Lanes3& x) {
+    Lanes3 out;
+    for (int i = 0; i < 3; ++i) out[i] = R(i, 0) * x[0] + R(i, 1) * x[1] + R(i, 2) * x[2];
+    return out;
+}
+
+/// Derivatives of eight residuals by xi, from those by a displacement.
+std::array<Lanes, 6> jacobians(const Lanes3& lever, const Lanes3& direction) {
+    const auto& [x, y, z] = lever;
+    const auto& [p, q, s] = direction;
+    return {y * s - z * q, z * p - x * s, x * q - y * p, p, q, s};
+}
 
 /// Sums over batches, lane by lane.
 struct LaneSums {
     std::array<Lanes, kPairs> H, unbiased;
     std::array<Lanes, 6> g, blur;
-    Lanes cost = Lanes::Zero(), weights = Lanes::Zero(), slopes = Lanes::Zero(), absolute = Lanes::Zero();
-    int count = 0;
+    Lanes cost = Lanes::Zero(), weights = Lanes::Zero(), slopes = Lanes::Zero(), absolute = Lanes::Zero(),
+          count = Lanes::Zero();
 
     LaneSums() {
         H.fill(Lanes::Zero());
@@ -79,34 +132,29 @@ struct LaneSums {
         g.fill(Lanes::Zero());
         blur.fill(Lanes::Zero());
     }
-    void add(const Batch& batch, const TileWeight& weight);
+    void add(const Residuals& found, const Lanes3& lever, const TileWeight& weight);
     void add_to(Normal& sums, Matrix6& unbiased_sums, Matrix62& tile, int column, double* sizes) const;
 };
 
-void LaneSums::add(const Batch& batch, const TileWeight& weight) {
+void LaneSums::add(const Residuals& found, const Lanes3& lever, const TileWeight& weight) {
     const float over_scale = 1.0F / (kTukey * weight.scale);
-    const Lanes number = Lanes::LinSpaced(kLanes, 0, kLanes - 1);
-    for (int first = 0; first < batch.count; first += kLanes) {
-        const auto A = batch.jacobian(3, first), B = batch.jacobian(6, first), J = batch.jacobian(9, first);
-        // 1 for pixels, 0 for what an older batch left behind them.
-        const Lanes there = (static_cast<float>(batch.count - first) - number).max(0.0F).min(1.0F);
-        const Lanes r = batch.lanes(12, first), xx = (r * over_scale).square(), y = (1.0F - xx).max(0.0F) * there;
-        const Lanes w = weight.weight * y.square(), wr = w * r, wb = w * batch.lanes(13, first);
-        weights += y.square();
-        slopes += y * (1.0F - 5.0F * xx);
-        cost += wr * r;
-        absolute += r.abs() * there;
-        for (int i = 0, pair = 0; i < 6; ++i) {
-            g[i] += wr * J[i];
-            blur[i] += wb * J[i];
-            const Lanes wJ = w * J[i], wA = w * A[i], wB = w * B[i];
-            for (int j = i; j < 6; ++j, ++pair) {
-                H[pair] += wJ * J[j];
-                unbiased[pair] += wA * B[j] + wB * A[j];
-            }
+    const auto A = jacobians(lever, found.a), B = jacobians(lever, found.b), J = jacobians(lever, found.mean);
+    const Lanes &r = found.residual, xx = (r * over_scale).square(), y = (1.0F - xx).max(0.0F) * found.there;
+    const Lanes w = weight.weight * y.square(), wr = w * r, wb = w * found.blur;
+    weights += y.square();
+    slopes += y * (1.0F - 5.0F * xx);
+    cost += wr * r;
+    absolute += r.abs() * found.there;
+    count += found.there;
+    for (int i = 0, pair = 0; i < 6; ++i) {
+        g[i] += wr * J[i];
+        blur[i] += wb * J[i];
+        const Lanes wJ = w * J[i], wA = w * A[i], wB = w * B[i];
+        for (int j = i; j < 6; ++j, ++pair) {
+            H[pair] += wJ * J[j];
+            unbiased[pair] += wA * B[j] + wB * A[j];
         }
     }
-    count += batch.count;
 }
 
 double total(const Lanes& lanes) { return lanes.cast<double>().sum(); }
@@ -130,73 +178,123 @@ void LaneSums::add_to(Normal& sums, Matrix6& unbiased_sums, Matrix62& tile, int 
     sums.cost += total(cost);
     sums.weights += total(weights);
     sums.slopes += total(slopes);
-    sums.count += count;
-    sizes[0] += count;
+    const double number = total(count);
+    sums.count += static_cast<std::int64_t>(number);
+    sizes[0] += number;
     sizes[1] += total(absolute);
 }
+
+/// Sums of one tile.
+struct TileSums {
+    LaneSums distance, texture;
+    Lanes correlation_ab = Lanes::Zero(), correlation_aa = Lanes::Zero(), correlation_bb = Lanes::Zero();
+};
 
 struct Problem : JointPair {
     using JointPair::JointPair;
     Image<float> distances, differences;
 
     void add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
-                  std::array<double, 4>& sizes) const;
-    void add_texture(const Meeting& m, Batch& batch, JointSums& sums) const;
+                  std::array<double, 4>& sizes, Batch& batch) const;
+    void add(const Batch& batch, const TileWeight* weights, TileSums& sums) const;
+    [[nodiscard]] Residuals compare_points(const Batch& batch, int first) const;
+    [[nodiscard]] Residuals compare_textures(const Batch& batch, int first, const Lanes& there) const;
+    void keep(const Batch& batch, int first, const Residuals& found, const Image<float>& map) const;
 };
 
 /// All pixels of a tile: they lie close together in a, too, whichever way it is turned.
 void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
-                       std::array<double, 4>& sizes) const {
-    LaneSums distance, texture;
-    Batch of_distance, of_texture;
-    const auto flush = [&] {
-        distance.add(of_distance, weights[0]);
-        texture.add(of_texture, weights[1]);
-        of_distance.count = of_texture.count = 0;
-    };
+                       std::array<double, 4>& sizes, Batch& batch) const {
+    if (weights[0].weight == 0 && weights[1].weight == 0) return;
+    TileSums tile;
+    batch.count = 0;
+    bool met = false;
     const int bottom = std::min(b.values.height, top + o.tile), right = std::min(b.values.width, left + o.tile);
-    std::array<Meeting, kAhead> found;
-    int ahead = 0;
-    const auto compare_found = [&] {
-        for (int i = 0; i < ahead; ++i) {
-            Meeting& m = found[i];
-            if (!compare(m)) continue;
-            const float over_sigma = 1.0F / m.sigma, r = m.distance * over_sigma;
-            of_distance.add(r, (m.x - about).cast<float>(), m.normal_a * over_sigma, m.normal_b * over_sigma,
-                            (m.normal_a + m.normal_b).normalized() * over_sigma,
-                            (b.values.at(m.v, m.u)[joint::blur] - m.blur_a) * over_sigma);
-            if (!distances.empty()) *distances.at(m.v, m.u) = r;
-            add_texture(m, of_texture, sums);
-            if (of_distance.count == kBatch) flush();
+    // While some are compared, memory answers what was asked for by the next.
+    std::array<std::array<Meeting, kAhead>, 2> found;
+    int waiting = 0, turn = 0;
+    const auto compare_waiting = [&] {
+        for (int i = 0; i < waiting; ++i) {
+            Meeting& m = found[turn][i];
+            look_up(m);
+            if (!(std::fabs(m.distance) <= o.max_distance)) continue;
+            batch.add(m, about, b.values.at(m.v, m.u), cubic(a.texture, m.at.x(), m.at.y()), *b.texture.at(m.v, m.u));
+            met = true;
+            if (batch.count < kBatch) continue;
+            add(batch, weights, tile);
+            batch.count = 0;
         }
-        ahead = 0;
     };
-    for (int v = top; v < bottom; v += o.stride)
-        for (int u = left; u < right; u += o.stride) {
-            if (!find(v, u, found[ahead])) continue;
-            prepare(found[ahead]);
-            if (++ahead == kAhead) compare_found();
-        }
-    compare_found();
-    flush();
-    if (distance.count > 0) distance.add_to(sums.distance, sums.H_distance_unbiased, gradients, 0, &sizes[0]);
-    if (texture.count > 0) texture.add_to(sums.texture, sums.H_texture_unbiased, gradients, 1, &sizes[2]);
+    for (Cursor next(top, left, bottom, right); !next.done();) {
+        const int coming = find(next, found[1 - turn]);
+        compare_waiting();
+        waiting = coming;
+        turn = 1 - turn;
+    }
+    compare_waiting();
+    if (!met) return;
+    add(batch, weights, tile);
+    tile.distance.add_to(sums.distance, sums.H_distance_unbiased, gradients, 0, &sizes[0]);
+    tile.texture.add_to(sums.texture, sums.H_texture_unbiased, gradients, 1, &sizes[2]);
+    sums.correlation_ab += total(tile.correlation_ab);
+    sums.correlation_aa += total(tile.correlation_aa);
+    sums.correlation_bb += total(tile.correlation_bb);
 }
 
-void Problem::add_texture(const Meeting& m, Batch& batch, JointSums& sums) const {
-    const float* pb = b.values.at(m.v, m.u);
-    const float value_b = *b.texture.at(m.v, m.u), value_a = cubic(a.texture, m.at.x(), m.at.y());
-    const float variance = m.variance_texture + pb[joint::variance_texture];
-    if (std::isnan(value_a + value_b + variance + m.gradient_a[0] + pb[joint::gradient])) return;
-    const float over_sigma = 1.0F / std::sqrt(variance), r = (value_a - value_b) * over_sigma;
-    const Eigen::Vector3f of_a = m.gradient_a * over_sigma;
-    const Eigen::Vector3f of_b =
-        R_float * Eigen::Vector3f(pb[joint::gradient], pb[joint::gradient + 1], pb[joint::gradient + 2]) * over_sigma;
-    batch.add(r, (m.x - about).cast<float>(), of_a, of_b, 0.5F * (of_a + of_b), 0.0F);
-    sums.correlation_ab += value_a * value_b;
-    sums.correlation_aa += value_a * value_a;
-    sums.correlation_bb += value_b * value_b;
-    if (!differences.empty()) *differences.at(m.v, m.u) = r;
+void Problem::add(const Batch& batch, const TileWeight* weights, TileSums& sums) const {
+    for (int first = 0; first < batch.count; first += kLanes) {
+        const Lanes3 from = batch.vectors(lever, first);
+        const Residuals distance = compare_points(batch, first);
+        const Residuals texture = compare_textures(batch, first, distance.there);
+        sums.distance.add(distance, from, weights[0]);
+        sums.texture.add(texture, from, weights[1]);
+        const Lanes of_a = batch.lanes(value_a, first), of_b = batch.lanes(value_b, first);
+        sums.correlation_ab += of_a * of_b * texture.there;
+        sums.correlation_aa += of_a.square() * texture.there;
+        sums.correlation_bb += of_b.square() * texture.there;
+        if (!distances.empty()) keep(batch, first, distance, distances);
+        if (!differences.empty()) keep(batch, first, texture, differences);
+    }
+}
+
+Residuals Problem::compare_points(const Batch& batch, int first) const {
+    const Lanes3 of_a = batch.vectors(normal_a, first), of_b = turned(R_float, batch.vectors(normal_b, first));
+    const Lanes over_sigma = 1.0F / batch.lanes(variance, first).sqrt(), cosine = dot(of_a, of_b);
+    const Lanes3 sum{of_a[0] + of_b[0], of_a[1] + of_b[1], of_a[2] + of_b[2]};
+    const Lanes over_length = over_sigma / dot(sum, sum).max(kLeastSquare).sqrt();
+    const auto least = static_cast<float>(o.min_cosine);
+    Residuals out;
+    // Behind the last pixel stands what an older batch left.
+    for (int i = 0; i < kLanes; ++i) out.there[i] = first + i < batch.count && cosine[i] >= least ? 1.0F : 0.0F;
+    out.residual = batch.lanes(Column::distance, first) * over_sigma;
+    out.blur = batch.lanes(Column::blur, first) * over_sigma;
+    for (int i = 0; i < 3; ++i) {
+        out.a[i] = of_a[i] * over_sigma;
+        out.b[i] = of_b[i] * over_sigma;
+        out.mean[i] = sum[i] * over_length;
+    }
+    return out;
+}
+
+Residuals Problem::compare_textures(const Batch& batch, int first, const Lanes& there) const {
+    const Lanes3 of_a = batch.vectors(gradient_a, first), of_b = turned(R_float, batch.vectors(gradient_b, first));
+    const Lanes over_sigma = 1.0F / batch.lanes(variance_texture, first).sqrt();
+    Residuals out;
+    out.there = there * batch.lanes(textured, first);
+    out.residual = (batch.lanes(value_a, first) - batch.lanes(value_b, first)) * over_sigma;
+    out.blur = Lanes::Zero();
+    for (int i = 0; i < 3; ++i) {
+        out.a[i] = of_a[i] * over_sigma;
+        out.b[i] = of_b[i] * over_sigma;
+        out.mean[i] = 0.5F * (out.a[i] + out.b[i]);
+    }
+    return out;
+}
+
+/// Writes residuals to where their pixels stand.
+void Problem::keep(const Batch& batch, int first, const Residuals& found, const Image<float>& map) const {
+    for (int i = 0; i < std::min(kLanes, batch.count - first); ++i)
+        if (found.there[i] > 0) *map.at(batch.pixels[first + i][0], batch.pixels[first + i][1]) = found.residual[i];
 }
 
 }  // namespace
@@ -222,11 +320,12 @@ JointResult joint_normal_equations(const JointMaps& a, const Camera& camera_a, c
     // One block = one row of tiles: its tile sums belong to it alone, and the order of additions is fixed.
     result.sums = parallel_sum<JointSums>(result.tile_rows, 1, threads, [&](std::size_t row, std::size_t) {
         JointSums sums;
+        Batch batch;
         const int top = static_cast<int>(row) * options.tile;
         for (int column = 0; column < columns; ++column) {
             const std::size_t k = row * columns + column;
             problem.add_tile(top, column * options.tile, &weights[2 * k], sums, result.tile_gradients[k],
-                             result.tile_sizes[k]);
+                             result.tile_sizes[k], batch);
         }
         return sums;
     });

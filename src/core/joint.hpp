@@ -42,7 +42,7 @@ struct JointOptions {
 /// How residuals count in one tile of b, of one kind.
 struct TileWeight {
     float scale;   ///< robust standard deviation of the residuals over their noise; infinite = all weigh alike
-    float weight;  ///< of a squared residual over its noise
+    float weight;  ///< of a squared residual over its noise; a tile whose both are 0 is not looked at
 };
 
 /// Normal equations of one kind of residual: H = J'WJ, g = J'Wr. `weights` and `slopes` are the sums of the robust

@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "core/joint.hpp"
+#include "core/moved_camera.hpp"
 
 namespace planish {
 
@@ -87,14 +88,31 @@ inline void prefetch([[maybe_unused]] const void* place) {
 struct Meeting {
     int v = 0, u = 0;              ///< the pixel of b
     Eigen::Vector3d x, in_camera;  ///< the point of b, in frame a and in a's camera
+    Eigen::Array4f x_float;        ///< and 0
     Eigen::Vector2d at;            ///< its pixel there
     Cell cell;
     Eigen::Vector3f normal_a, normal_b;  ///< in frame a
     Eigen::Vector3f gradient_a;          ///< of a's texture
     float variance_texture = 0;          ///< of a's texture
+    float variance_distance = 0;         ///< of a's points along the normal [mm^2]
     float blur_a = 0;                    ///< displacement of a's surface by the blur [mm]
     float distance = 0;                  ///< along a's normal [mm]
     float sigma = 0;                     ///< its standard deviation [mm]
+};
+
+/// The next pixel of a window, row by row.
+struct Cursor {
+    int left, right, bottom, v, u;
+
+    Cursor(int top, int left_, int bottom_, int right_)
+        : left(left_), right(right_), bottom(bottom_), v(top), u(left_) {}
+    [[nodiscard]] bool done() const { return v >= bottom; }
+    void advance(int stride) {
+        u += stride;
+        if (u < right) return;
+        u = left;
+        v += stride;
+    }
 };
 
 /// One measurement b against another one a.
@@ -104,75 +122,104 @@ struct JointPair {
     Eigen::Matrix3d R;
     Eigen::Matrix3f R_float;
     Eigen::Vector3d t, about;
+    MovedCamera to_a;
     JointOptions o;
 
     JointPair(const JointMaps& a_, const Camera& camera_, const JointMaps& b_, const Eigen::Matrix3d& R_,
               const Eigen::Vector3d& t_, const Eigen::Vector3d& about_, const JointOptions& o_)
-        : a(a_), b(b_), camera(camera_), R(R_), R_float(R_.cast<float>()), t(t_), about(about_), o(o_) {}
+        : a(a_),
+          b(b_),
+          camera(camera_),
+          R(R_),
+          R_float(R_.cast<float>()),
+          t(t_),
+          about(about_),
+          to_a(camera_, R_, t_),
+          o(o_) {}
 
-    /// Finds where pixel (v, u) of b lies in a's image; false where there is nothing to be compared with.
-    [[nodiscard]] bool find(int v, int u, Meeting& m) const {
-        const float* p = b.values.at(v, u);
-        if (std::isnan(p[2]) || *b.use.at(v, u) == 0) return false;
-        m.x = R * vector_of(p, joint::point) + t;
-        m.in_camera = camera.to_camera(m.x);
-        if (!(m.in_camera.z() > 0)) return false;
-        const double over_z = 1.0 / m.in_camera.z();
-        m.at = camera.to_pixel(camera.distort({m.in_camera.x() * over_z, m.in_camera.y() * over_z}));
-        if (!(m.at.x() >= 1 && m.at.y() >= 1 && m.at.x() < a.values.width - 2 && m.at.y() < a.values.height - 2))
-            return false;
-        m.cell = Cell(m.at.x(), m.at.y());
-        m.v = v;
-        m.u = u;
-        return *a.use.at(m.cell.v, m.cell.u) != 0;
+    /// Finds where the next pixels of b, up to `kAhead` of them, lie in a's image. Returns the number of those that can
+    /// be compared.
+    [[nodiscard]] int find(Cursor& next, std::array<Meeting, kAhead>& found) const {
+        std::array<int, kAhead> rows{}, columns{};
+        Places p;
+        int count = 0;
+        for (; count < kAhead && next.v < next.bottom; next.advance(o.stride)) {
+            const float* point = b.values.at(next.v, next.u);
+            if (next.v + o.stride < next.bottom) prefetch(b.values.at(next.v + o.stride, next.u));
+            if (std::isnan(point[2]) || *b.use.at(next.v, next.u) == 0) continue;
+            rows[count] = next.v;
+            columns[count] = next.u;
+            p.x[count] = point[0];
+            p.y[count] = point[1];
+            p.z[count] = point[2];
+            ++count;
+        }
+        if (count == 0) return 0;
+        to_a.project(p);
+        int met = 0;
+        const double right = a.values.width - 2, bottom = a.values.height - 2;
+        for (int i = 0; i < count; ++i) {
+            if (!(p.z[i] > 0 && p.u[i] >= 1 && p.v[i] >= 1 && p.u[i] < right && p.v[i] < bottom)) continue;
+            Meeting& m = found[met];
+            m.cell = Cell(p.u[i], p.v[i]);
+            if (*a.use.at(m.cell.v, m.cell.u) == 0) continue;
+            m.v = rows[i];
+            m.u = columns[i];
+            m.at = {p.u[i], p.v[i]};
+            m.in_camera = {p.x[i], p.y[i], p.z[i]};
+            m.x = R * vector_of(b.values.at(m.v, m.u), joint::point) + t;
+            m.x_float << m.x.cast<float>().array(), 0.0F;
+            prefetch_around(m);
+            ++met;
+        }
+        return met;
     }
 
+    /// The surface between four pixels: half way between the chord through their points, which cuts a curved surface
+    /// off, and their planes, which exceed it by as much: exact to the second order.
+    void look_up(Meeting& m) const {
+        const auto corners = m.cell.corners(a.values);
+        using Four = Eigen::Array4f;
+        // Three times four channels: point and its variance, normal and the texture's variance, gradient and blur.
+        Four normals = Four::Zero(), gradients = Four::Zero(), chord = Four::Zero(), planes = Four::Zero();
+        const Four x = m.x_float;
+        for (int k = 0; k < 4; ++k) {
+            const float w = m.cell.w[k];
+            const Four q = Four::Map(corners[k]), n = Four::Map(corners[k] + 4), g = Four::Map(corners[k] + 8);
+            const Four off = w * (x - q);
+            planes += n * off;
+            chord += off;
+            normals += w * n;
+            gradients += w * g;
+        }
+        const Four both = planes + normals * chord;
+        m.normal_a = normals.head<3>();
+        m.gradient_a = gradients.head<3>();
+        m.blur_a = gradients[3];
+        m.variance_texture = normals[3];
+        m.variance_distance = -chord[3];
+        m.distance = 0.5F * (both[0] + both[1] + both[2]);
+    }
+
+    /// Looks a's surface up; false where there is none, or the two would hide or pierce one another.
+    [[nodiscard]] bool compare(Meeting& m) const {
+        const float* p = b.values.at(m.v, m.u);
+        look_up(m);
+        if (std::isnan(m.distance)) return false;
+        m.normal_b = R_float * Eigen::Vector3f(p[joint::normal], p[joint::normal + 1], p[joint::normal + 2]);
+        m.sigma = std::sqrt(m.variance_distance + p[joint::variance_distance]);
+        return std::fabs(m.distance) <= o.max_distance && m.normal_a.dot(m.normal_b) >= o.min_cosine;
+    }
+
+  private:
     /// Asks for what `compare` reads of a.
-    void prepare(const Meeting& m) const {
+    void prefetch_around(const Meeting& m) const {
         for (int row = 0; row < 2; ++row) {
             const float* p = a.values.at(m.cell.v + row, m.cell.u);
             prefetch(p);
             prefetch(p + 2 * joint::channels - 1);
         }
         for (int row = -1; row < 3; ++row) prefetch(a.texture.at(m.cell.v + row, m.cell.u));
-    }
-
-    /// Looks a's surface up; false where there is none, or the two would hide or pierce one another.
-    [[nodiscard]] bool compare(Meeting& m) const {
-        const float* p = b.values.at(m.v, m.u);
-        const float variance_a = look_up(m);
-        if (std::isnan(m.distance)) return false;
-        m.normal_b = R_float * Eigen::Vector3f(p[joint::normal], p[joint::normal + 1], p[joint::normal + 2]);
-        m.sigma = std::sqrt(variance_a + p[joint::variance_distance]);
-        return std::fabs(m.distance) <= o.max_distance && m.normal_a.dot(m.normal_b) >= o.min_cosine;
-    }
-
-  private:
-    /// The surface between four pixels: half way between the chord through their points, which cuts a curved surface
-    /// off, and their planes, which exceed it by as much: exact to the second order. Returns the variance of a's points
-    /// along the normal.
-    float look_up(Meeting& m) const {
-        const auto corners = m.cell.corners(a.values);
-        using Four = Eigen::Array4f;
-        // Three times four channels: point and its variance, normal and the texture's variance, gradient.
-        Four normals = Four::Zero(), gradients = Four::Zero(), chord = Four::Zero(), planes = Four::Zero();
-        const Eigen::Array4d x(m.x[0], m.x[1], m.x[2], 0);
-        for (int k = 0; k < 4; ++k) {
-            const float w = m.cell.w[k];
-            const Four q = Four::Map(corners[k]), n = Four::Map(corners[k] + 4), g = Four::Map(corners[k] + 8);
-            const Four off = (x - q.cast<double>()).cast<float>();
-            planes += w * n * off;
-            chord += w * off;
-            normals += w * n;
-            gradients += w * g;
-        }
-        const Four chords = normals * chord;
-        m.normal_a = normals.head<3>();
-        m.gradient_a = gradients.head<3>();
-        m.blur_a = gradients[3];
-        m.variance_texture = normals[3];
-        m.distance = 0.5F * (planes[0] + planes[1] + planes[2] + chords[0] + chords[1] + chords[2]);
-        return -chord[3];
     }
 };
 

@@ -69,7 +69,7 @@ struct Problem : JointPair {
     using JointPair::JointPair;
 
     void add_distance(const Meeting& m, const TileWeight& weight, Matrix63& pull) const;
-    void add_texture(int v, int u, const Meeting& m, const TileWeight& weight, Matrix63& pull) const;
+    void add_texture(const Meeting& m, const TileWeight& weight, Matrix63& pull) const;
 };
 
 void Problem::add_distance(const Meeting& m, const TileWeight& weight, Matrix63& pull) const {
@@ -78,9 +78,9 @@ void Problem::add_distance(const Meeting& m, const TileWeight& weight, Matrix63&
     pull += outer(J, weight.weight * slope / (m.sigma * m.sigma) * m.normal_a.cast<double>().transpose());
 }
 
-void Problem::add_texture(int v, int u, const Meeting& m, const TileWeight& weight, Matrix63& pull) const {
-    const float* pb = b.values.at(v, u);
-    const double value_b = *b.texture.at(v, u);
+void Problem::add_texture(const Meeting& m, const TileWeight& weight, Matrix63& pull) const {
+    const float* pb = b.values.at(m.v, m.u);
+    const double value_b = *b.texture.at(m.v, m.u);
     const Sloped value_a = cubic_with_slopes(a.texture, m.at.x(), m.at.y());
     const double variance = m.variance_texture + pb[joint::variance_texture];
     const double known = value_a.value + value_b + variance + m.gradient_a[0] + pb[joint::gradient];
@@ -119,19 +119,23 @@ JointPull joint_pull(const JointMaps& a, const Camera& camera_a, const JointMaps
     std::vector<int> nearest(count, std::numeric_limits<int>::max());
     // A row of tiles belongs to one thread alone.
     parallel_for(static_cast<std::size_t>(result.tile_rows), threads, [&](std::size_t begin, std::size_t end) {
-        Meeting m;
+        std::array<Meeting, kAhead> found;
         for (int v = static_cast<int>(begin) * tile; v < std::min(height, static_cast<int>(end) * tile);
              v += options.stride)
-            for (int u = 0; u < width; u += options.stride) {
-                if (!problem.find(v, u, m) || !problem.compare(m)) continue;
-                const auto k = static_cast<std::size_t>(v / tile) * result.tile_columns + u / tile;
-                const int off = std::abs(v % tile - tile / 2) + std::abs(u % tile - tile / 2);
-                if (off < nearest[k]) {
-                    nearest[k] = off;
-                    result.pixel[k] = static_cast<std::int64_t>(v) * width + u;
+            for (Cursor next(v, 0, v + 1, width); !next.done();) {
+                const int count = problem.find(next, found);
+                for (int i = 0; i < count; ++i) {
+                    Meeting& m = found[i];
+                    if (!problem.compare(m)) continue;
+                    const auto k = static_cast<std::size_t>(v / tile) * result.tile_columns + m.u / tile;
+                    const int off = std::abs(v % tile - tile / 2) + std::abs(m.u % tile - tile / 2);
+                    if (off < nearest[k]) {
+                        nearest[k] = off;
+                        result.pixel[k] = static_cast<std::int64_t>(v) * width + m.u;
+                    }
+                    problem.add_distance(m, weights[2 * k], result.tiles[k]);
+                    problem.add_texture(m, weights[2 * k + 1], result.tiles[k]);
                 }
-                problem.add_distance(m, weights[2 * k], result.tiles[k]);
-                problem.add_texture(v, u, m, weights[2 * k + 1], result.tiles[k]);
             }
     });
     return result;

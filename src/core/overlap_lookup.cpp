@@ -1,10 +1,12 @@
 #include "core/overlap_lookup.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <vector>
 
+#include "core/moved_camera.hpp"
 #include "core/parallel.hpp"
 
 namespace planish {
@@ -36,12 +38,20 @@ Eigen::Vector3d vector_at(const Image<const float>& image, int v, int u) {
     return Eigen::Map<const Eigen::Vector3f>(image.at(v, u)).cast<double>();
 }
 
+/// A place between the pixels of an image.
+struct Place {
+    Weight u{}, v{};
+    bool inside;
+
+    Place(const Eigen::Vector2d& pixel, int width, int height)
+        : inside(weigh(pixel.x(), width, u) && weigh(pixel.y(), height, v)) {}
+};
+
 /// Distance of x (frame of a) from the surface of a at a pixel, or NaN.
-double distance_at(const OrganisedSurface& a, const Eigen::Vector2d& pixel, const Eigen::Vector3d& x,
+double distance_at(const OrganisedSurface& a, const Place& place, const Eigen::Vector3d& x,
                    const Eigen::Vector3d& normal_b, double max_distance) {
     constexpr double NONE = std::numeric_limits<double>::quiet_NaN();
-    Weight u, v;
-    if (!weigh(pixel.x(), a.points.width, u) || !weigh(pixel.y(), a.points.height, v)) return NONE;
+    const Weight &u = place.u, &v = place.v;
     const Eigen::Vector3d n = vector_at(a.normals, v.first + (v.f > 0.5), u.first + (u.f > 0.5));
     // Compare with "not greater" so that a missing normal of b (NaN) does not exclude the point.
     if (!(n.x() == n.x()) || n.dot(normal_b) < 0) return NONE;
@@ -66,22 +76,41 @@ void look_up_distance(const OrganisedSurface& a, const OrganisedSurface& b, cons
                       double max_distance, int threads, const Image<float>& distances, const Image<float>& pixels) {
     const Eigen::Matrix3d R = T_a_b.topLeftCorner<3, 3>();
     const Eigen::Vector3d t = T_a_b.topRightCorner<3, 1>();
-    parallel_for(static_cast<std::size_t>(b.points.height), threads, [&](std::size_t first, std::size_t last) {
-        for (int v = static_cast<int>(first); v < static_cast<int>(last); ++v)
-            for (int u = 0; u < b.points.width; ++u) {
-                double distance = std::numeric_limits<double>::quiet_NaN();
-                Eigen::Vector2d pixel(distance, distance);
-                const Eigen::Vector3d x = R * vector_at(b.points, v, u) + t;
-                if (a.camera.to_camera(x).z() > 0) {  // false for NaN
-                    pixel = a.camera.project(x);
-                    distance = distance_at(a, pixel, x, R * vector_at(b.normals, v, u), max_distance);
-                }
-                distances.at(v, u)[0] = static_cast<float>(distance);
-                if (pixels.empty()) continue;
-                const bool found = distance == distance;
-                pixels.at(v, u)[0] = found ? static_cast<float>(pixel.x()) : NOT_A_NUMBER;
-                pixels.at(v, u)[1] = found ? static_cast<float>(pixel.y()) : NOT_A_NUMBER;
+    const MovedCamera camera(a.camera, R, t);
+    const int width = b.points.width;
+    std::fill_n(distances.data, distances.pixels(), NOT_A_NUMBER);
+    if (!pixels.empty()) std::fill_n(pixels.data, 2 * pixels.pixels(), NOT_A_NUMBER);
+    parallel_tasks(static_cast<std::size_t>(b.points.height), threads, [&](std::size_t row) {
+        const int v = static_cast<int>(row);
+        std::array<int, kAhead> columns{};
+        for (int next = 0; next < width;) {
+            Places places;
+            int count = 0;
+            for (; next < width && count < kAhead; ++next) {
+                const float* point = b.points.at(v, next);
+                if (std::isnan(point[2])) continue;
+                columns[count] = next;
+                places.x[count] = point[0];
+                places.y[count] = point[1];
+                places.z[count] = point[2];
+                ++count;
             }
+            camera.project(places);
+            for (int i = 0; i < count; ++i) {
+                if (!(places.z[i] > 0)) continue;
+                const int u = columns[i];
+                const Eigen::Vector2d pixel(places.u[i], places.v[i]);
+                const Place place(pixel, a.points.width, a.points.height);
+                if (!place.inside) continue;
+                const double distance = distance_at(a, place, R * vector_at(b.points, v, u) + t,
+                                                    R * vector_at(b.normals, v, u), max_distance);
+                if (!(distance == distance)) continue;
+                *distances.at(v, u) = static_cast<float>(distance);
+                if (pixels.empty()) continue;
+                pixels.at(v, u)[0] = static_cast<float>(pixel.x());
+                pixels.at(v, u)[1] = static_cast<float>(pixel.y());
+            }
+        }
     });
 }
 

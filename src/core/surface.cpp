@@ -167,44 +167,4 @@ void fit_surface(const Image<const float>& points, const Camera& camera, const S
     });
 }
 
-namespace {
-
-/// Derivative by pixels, of the sixth order where seven pixels in a row are known: the gradient of fine texture is that
-/// of its interpolation.
-float slope(const float* at, std::ptrdiff_t step, int before, int after) {
-    const float near = at[step] - at[-step];
-    if (before >= 3 && after >= 3) {
-        const float wide =
-            0.75F * near - 0.15F * (at[2 * step] - at[-2 * step]) + (at[3 * step] - at[-3 * step]) / 60.0F;
-        if (wide == wide) return wide;
-    }
-    return 0.5F * near;
-}
-
-}  // namespace
-
-void tangential_gradient(const Image<const float>& texture, const Image<const float>& tangents, int threads,
-                         const Image<float>& gradient) {
-    const int width = texture.width, height = texture.height;
-    constexpr float nan = std::numeric_limits<float>::quiet_NaN();
-    parallel_for(static_cast<std::size_t>(height), threads, [&](std::size_t first, std::size_t last) {
-        for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v)
-            for (int u = 0; u < width; ++u) {
-                float* out = gradient.at(v, u);
-                std::fill_n(out, 3, nan);
-                if (u == 0 || v == 0 || u + 1 == width || v + 1 == height) continue;
-                const float* at = texture.at(v, u);
-                const float f_u = slope(at, 1, u, width - 1 - u), f_v = slope(at, width, v, height - 1 - v);
-                const float *x_u = tangents.at(v, u), *x_v = x_u + 3;
-                const float e = x_u[0] * x_u[0] + x_u[1] * x_u[1] + x_u[2] * x_u[2];
-                const float f = x_u[0] * x_v[0] + x_u[1] * x_v[1] + x_u[2] * x_v[2];
-                const float g = x_v[0] * x_v[0] + x_v[1] * x_v[1] + x_v[2] * x_v[2];
-                const float determinant = e * g - f * f;
-                if (!(determinant > 0)) continue;
-                const float alpha = (g * f_u - f * f_v) / determinant, beta = (e * f_v - f * f_u) / determinant;
-                for (int i = 0; i < 3; ++i) out[i] = alpha * x_u[i] + beta * x_v[i];
-            }
-    });
-}
-
 }  // namespace planish

@@ -18,10 +18,4 @@ struct SurfaceOptions {
 void fit_surface(const Image<const float>& points, const Camera& camera, const SurfaceOptions& options, int threads,
                  const Image<float>& smoothed, const Image<float>& normals, const Image<float>& tangents);
 
-/// Gradient (H, W, 3) of a texture (H, W) along the surface [1/mm]: the tangent vector G with G . X_u = f_u, G . X_v =
-/// f_v, from central differences f_u, f_v per pixel and the tangents X_u, X_v (H, W, 6). NaN at the border and beside
-/// NaN.
-void tangential_gradient(const Image<const float>& texture, const Image<const float>& tangents, int threads,
-                         const Image<float>& gradient);
-
 }  // namespace planish

@@ -17,7 +17,24 @@ def release_memory() -> None: ...
 
 # Registration
 def fit_surface(points: F32, camera: F64, radius: int, max_slope: float, threads: int) -> tuple[F32, F32, F32]: ...
-def tangential_gradient(texture: F32, tangents: F32, threads: int) -> F32: ...
+def locate_texture(
+    points_a: F32,
+    normals_a: F32,
+    own: U8,
+    camera_b: F64,
+    points_b: F32,
+    T_b_a: F64,
+    gate: float,
+    threads: int,
+) -> F32: ...
+def joint_values(
+    maps: tuple[F32, F32, F32, F32, F32, F32, F32],
+    centre: F64,
+    blur: float,
+    blur_sigma: float,
+    spacing: int,
+    threads: int,
+) -> F32: ...
 def nearest_descriptors(
     a: U8, size_a: F64, b: U8, size_b: F64, max_size_ratio: float, threads: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]: ...

@@ -115,3 +115,19 @@ def tile_pulls(maps_a, camera_a, maps_b, T_a_b, about, weights, max_distance, mi
             np.add.at(counts, (rows // tile, columns // tile), 1)
             ends.append(np.where(counts[..., None] > 0, sums, np.nan))
     return np.stack([(ends[2 * k] - ends[2 * k + 1]) / (2 * step) for k in range(3)], -1)
+
+
+def level_values(maps, centre, blur, blur_sigma, spacing):
+    """Channels (h, w, 12) of every n-th pixel, those of the texture's gradient left NaN."""
+    points, sigma, normals, _, by_blur, texture, texture_sigma = (
+        np.asarray(m[::spacing, ::spacing], float) for m in maps
+    )
+    ray = points - centre
+    cosine = (ray * normals).sum(-1) / np.linalg.norm(ray, axis=-1)
+    out = np.full((*sigma.shape, 12), np.nan)
+    out[..., 0:3] = points - blur * by_blur[..., None] * normals
+    out[..., 3] = (sigma * cosine) ** 2 + (blur_sigma * by_blur) ** 2
+    out[..., 4:7] = normals
+    out[..., 7] = np.where(np.isfinite(texture), texture_sigma**2 / spacing**2, np.nan)
+    out[..., 11] = blur_sigma * by_blur
+    return out

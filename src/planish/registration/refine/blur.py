@@ -20,12 +20,18 @@ from planish.registration.surface import Surface
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
+#: Edge of the squares of pixels whose means the fits see: a mean over a square adds a constant to a quadratic field.
+_BIN_PX = 2
 #: Scale of the local fits (standard deviation of the window), and distance of the places where they are made [px].
 _SCALE_PX, _STEP_PX = 5.0, 4
 #: Half the window, in scales.
 _REACH = 2.5
 #: Powers of (u, v) in a fit of second order.
 _POWERS = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+#: Those of the products of two such.
+_MOMENTS = tuple((p, q) for p, q in product(range(5), range(5)) if p + q <= 4)
+#: Of float32 sums over a window.
+_ROUNDING = 1e-5
 #: A fit needs so many times the window's share that a corner of a surface fills.
 _MIN_SHARE = 0.15
 
@@ -49,13 +55,17 @@ def height_by_blur(measurement: Measurement, surface: Surface) -> Map:
     if other is None or other not in measurement.rig.cameras or in_b is None or position is None or light is None:
         return nothing
     normals = surface.normals_sensor
-    known = np.isfinite(in_b[..., 0] + position + normals[..., 2]) & (light > 0)
-    thinned = known[::_STEP_PX, ::_STEP_PX]
-    v, u = (index * _STEP_PX for index in np.nonzero(thinned))
-    if len(u) == 0:
+    known = np.isfinite(position) & np.isfinite(in_b[..., 0]) & np.isfinite(normals[..., 2]) & (light > 0)
+    fields = [_means(f) for f in (in_b[..., 0], in_b[..., 1], np.where(known, position, np.nan), light)]
+    whole = np.isfinite(fields[2])
+    step = _STEP_PX // _BIN_PX
+    thinned = whole[::step, ::step]
+    rows, columns = (index * step for index in np.nonzero(thinned))
+    if len(rows) == 0:
         return nothing
-    fields = [in_b[..., 0], in_b[..., 1], position, np.log(np.where(known, light, 1))]
-    fits, enough = _quadratic_fits([np.where(known, f, np.nan) for f in fields], known, v, u)
+    fields[3] = np.log(np.where(whole, fields[3], np.float32(1)))
+    fits, enough = _quadratic_fits(fields, whole, rows, columns)
+    v, u = rows * _BIN_PX, columns * _BIN_PX
     with np.errstate(all="ignore"):
         shift = _phase_shifts(*fits)
         points = measurement.points_sensor[v, u].astype(float)
@@ -69,6 +79,13 @@ def height_by_blur(measurement: Measurement, surface: Surface) -> Map:
     sparse = np.full(thinned.shape, np.nan, np.float32)
     sparse[thinned] = np.where(enough & np.isfinite(height), height, np.nan)
     return np.where(known, _spread(sparse, measurement.shape), np.float32(0))
+
+
+def _means(field: Map) -> Map:
+    """Means over squares of pixels; NaN where a pixel is unknown."""
+    height, width = (n // _BIN_PX for n in field.shape)
+    whole = np.ascontiguousarray(field[: height * _BIN_PX, : width * _BIN_PX], np.float32)
+    return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _phase_shifts(u_b: Array, v_b: Array, phase: Array, light: Array) -> Array:
@@ -95,35 +112,49 @@ def _inverse(J: Array) -> Array:
 
 
 def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index) -> tuple[list[Array], Array]:
-    """Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 (n, 6) of each field at places (n), by weighted least squares."""
-    reach = int(_REACH * _SCALE_PX)
-    t = np.arange(-reach, reach + 1) / _SCALE_PX
-    window = np.exp(-0.5 * t**2)
-    columns = [np.asarray(window * t**p, np.float32) for p in range(5)]
+    """Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 (n, 6) of each field at places (n), by weighted least squares.
+
+    Fields and places are those of means (`_means`), derivatives are per pixel.
+    """
+    scale = _SCALE_PX / _BIN_PX
+    t = np.arange(-int(_REACH * scale), int(_REACH * scale) + 1) / scale
+    columns = [np.asarray(np.exp(-0.5 * t**2) * t**p, np.float32) for p in range(5)]
 
     def moment(image: Map, p: int, q: int) -> Array:
         filtered = cv2.sepFilter2D(image, cv2.CV_32F, columns[p], columns[q], borderType=cv2.BORDER_CONSTANT)
         return np.asarray(filtered[v, u], float)
 
     share = known.astype(np.float32)
-    moments = {(p, q): moment(share, p, q) for p, q in product(range(5), range(5)) if p + q <= 4}
-    M = np.empty((len(u), 6, 6))
-    for i, j in product(range(6), range(6)):
-        M[:, i, j] = moments[_POWERS[i][0] + _POWERS[j][0], _POWERS[i][1] + _POWERS[j][1]]
-    enough = moments[0, 0] > _MIN_SHARE * window.sum() ** 2
-    M += 1e-6 * np.eye(6)
+    number, sums = moment(share, 0, 0), [c.sum(dtype=float) for c in columns]
+    # Within a surface all windows are the same.
+    rim = np.flatnonzero(number < (1 - _ROUNDING) * sums[0] ** 2)
+    inside = _products({(p, q): np.array([sums[p] * sums[q]]) for p, q in _MOMENTS})[0]
+    at_rim = _products({(p, q): moment(share, p, q)[rim] for p, q in _MOMENTS})
     # About a plane, so that float32 sums keep what is bent.
-    grid_v, grid_u = np.indices(known.shape).astype(np.float32)
+    grid_v, grid_u = np.ogrid[: known.shape[0], : known.shape[1]]
     per = np.array([1, 1 / _SCALE_PX, 1 / _SCALE_PX, *[2 / _SCALE_PX**2, 1 / _SCALE_PX**2, 2 / _SCALE_PX**2]])
     right, planes = [], []
     for field in fields:
         plane = _plane(field, known)
-        rest = np.where(known, field - plane[0] - plane[1] * grid_u - plane[2] * grid_v, 0).astype(np.float32)
+        rest = field - (plane[0] + plane[2] * grid_v).astype(np.float32) - (plane[1] * grid_u).astype(np.float32)
+        rest[~known] = 0
         right.append(np.stack([moment(rest, p, q) for p, q in _POWERS], 1))
         planes.append(plane)
-    found = np.linalg.solve(M, np.stack(right, 2)) * per[:, None]
-    found[:, 1:3] += np.stack(planes, 1)[None, 1:3]
-    return [found[:, :, k] for k in range(len(fields))], enough
+    sides = np.stack(right, 2)
+    found = np.linalg.inv(inside) @ sides
+    found[rim] = np.linalg.solve(at_rim, sides[rim])
+    found *= per[:, None]
+    found[:, 1:3] += np.stack(planes, 1)[None, 1:3] / _BIN_PX
+    return [found[:, :, k] for k in range(len(fields))], number > _MIN_SHARE * sums[0] ** 2
+
+
+def _products(moments: dict[tuple[int, int], Array]) -> Array:
+    """Weighted sums (n, 6, 6) of the products of two powers each."""
+    M = np.empty((len(moments[0, 0]), 6, 6))
+    for (i, first), (j, second) in product(enumerate(_POWERS), repeat=2):
+        M[:, i, j] = moments[first[0] + second[0], first[1] + second[1]]
+    # A window that holds a line of pixels alone says nothing across it.
+    return np.asarray(M + 1e-6 * np.eye(6))
 
 
 def _plane(field: Map, known: Mask) -> Array:
@@ -146,6 +177,8 @@ def _spread(sparse: Map, shape: tuple[int, int]) -> Map:
     of_label = np.zeros(int(labels.max()) + 1, np.float32)
     of_label[labels[known]] = sparse[known]
     filled = of_label[labels]
-    v, u = (np.arange(n, dtype=np.float32) / _STEP_PX for n in shape)
+    # A place is the middle of its square.
+    middle = (_BIN_PX - 1) / 2
+    v, u = ((np.arange(n, dtype=np.float32) - middle) / _STEP_PX for n in shape)
     map_u, map_v = np.meshgrid(u, v)
     return cv2.remap(filled, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

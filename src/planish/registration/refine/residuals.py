@@ -90,15 +90,17 @@ class Weights:
 
         Where residuals are larger than their noise (highlights, dust, shading by noisy normals, distortion), they count
         by what they are; where they are smaller, noise is still noise. `noise_passed` is the variance of texture
-        differences over that of their noise.
+        differences over that of their noise. Tiles that meet nothing, nor do their neighbours, weigh nothing: they need
+        not be looked at again.
         """
         out = np.empty(equations.tile_sizes.shape, np.float32)
+        met = _around(equations.tile_sizes[:, :, 0, 0]) > 0
         for kind, expected in enumerate((1.0, np.sqrt(noise_passed))):
             number, absolute = np.moveaxis(equations.tile_sizes[:, :, kind], 2, 0)
             mean = absolute.sum() / max(number.sum(), 1.0)
             scale = _PER_MEAN_ABSOLUTE * (_around(absolute) + _PRIOR * mean) / (_around(number) + _PRIOR)
             out[:, :, kind, 0] = np.maximum(scale, _LEAST_SCALE)
-            out[:, :, kind, 1] = 1 / np.maximum(1.0, scale / expected) ** 2
+            out[:, :, kind, 1] = np.where(met, 1 / np.maximum(1.0, scale / expected) ** 2, 0.0)
         return cls(out, equations.tile)
 
     def only(self, kind: int) -> Weights:

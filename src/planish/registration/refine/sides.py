@@ -73,8 +73,9 @@ class JointSide:
 def held_out_pixels(measurement: Measurement) -> NDArray[np.bool_]:
     """Return the pixels (H, W) of the tiles that take no part in any fit against this measurement."""
     size = tile_size_px(measurement)
-    rows, columns = np.indices(measurement.shape) // size
-    return held_out(rows, columns)
+    height, width = measurement.shape
+    of_tiles = held_out(*np.indices((-(-height // size), -(-width // size))))
+    return of_tiles.repeat(size, 0).repeat(size, 1)[:height, :width]
 
 
 def joint_sides(
@@ -105,32 +106,23 @@ def joint_sides(
     known = np.isfinite(value)
     inside = known & _inside(measurement.valid, known, shading_px)
     filtered = filter_texture(value, sigma, shading_px, seen_apart(measurement, inside, sigma, shading_px))
-    texture = np.where(known, filtered.value, np.float32(np.nan))
     # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
-    points = np.where(np.isfinite(surface.points_sensor), measurement.points_sensor, np.float32(np.nan))
+    points = np.ascontiguousarray(measurement.points_sensor, np.float32)
     by_blur = height_by_blur(measurement, surface)
-    points -= (np.float32(_BLUR) * by_blur)[..., None] * surface.normals_sensor
-    uncertain = np.float32(_BLUR_SIGMA) * by_blur
-    depth = _variance_along_normal(measurement, surface) + uncertain**2
     sides = {}
     for n in spacings_px:
         # Coarse levels must lead here from afar: there the texture is as it is, its slow changes the strongest.
-        level = texture if n == 1 else smooth_texture(value, known, _BEFORE_THINNING * n)
+        level = filtered.value if n == 1 else smooth_texture(value, known, _BEFORE_THINNING * n)
         level = np.where(inside, level, np.float32(np.nan))
-        gradient = _core.tangential_gradient(level, surface.tangents_sensor, thread_count(threads))
-        values = np.zeros((*_thin(level, n).shape, 12), np.float32)
-        values[..., 0:3] = _thin(points, n)
-        values[..., 3] = _thin(depth, n)
-        values[..., 4:7] = _thin(surface.normals_sensor, n)
-        # One value in n^2 stands for n^2 independent ones.
-        values[..., 7] = _thin(np.where(inside, sigma**2, np.float32(np.nan)), n) / np.float32(n * n)
-        values[..., 8:11] = _thin(gradient, n)
-        values[..., 11] = _thin(uncertain, n)
+        maps = (points, measurement.sigma_mm, surface.normals_sensor, surface.tangents_sensor, by_blur, level, sigma)
+        values = _core.joint_values(
+            maps, measurement.camera.center_sensor, _BLUR, _BLUR_SIGMA, n, thread_count(threads)
+        )  # fmt: skip
         camera = measurement.camera.kernel_parameters.copy()
         camera[:5] /= n
         use = np.ones(values.shape[:2], np.uint8)
         passed = filtered.noise_passed if n == 1 else _THINNED_NOISE
-        sides[n] = JointSide(camera, n, values, np.ascontiguousarray(_thin(level, n)), use, passed)
+        sides[n] = JointSide(camera, n, values, np.ascontiguousarray(level[::n, ::n]), use, passed)
     return sides
 
 
@@ -143,18 +135,6 @@ def smooth_texture(value: Map, known: NDArray[np.bool_], sigma_px: float) -> Map
     with np.errstate(divide="ignore", invalid="ignore"):
         smooth = blur(np.where(known, value, np.float32(0))) / density
     return np.where(known, smooth, np.float32(np.nan))
-
-
-def _thin(image: Map, n: int) -> Map:
-    return image[::n, ::n]
-
-
-def _variance_along_normal(measurement: Measurement, surface: Surface) -> Map:
-    ray = measurement.points_sensor - measurement.camera.center_sensor.astype(np.float32)
-    length = np.linalg.norm(ray, axis=2)
-    with np.errstate(invalid="ignore"):
-        cosine = np.einsum("hwi,hwi->hw", ray, surface.normals_sensor) / length
-    return np.asarray((measurement.sigma_mm * cosine) ** 2, np.float32)
 
 
 def _inside(valid: NDArray[np.bool_], known: NDArray[np.bool_], shading_px: float) -> NDArray[np.bool_]:

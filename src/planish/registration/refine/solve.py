@@ -28,7 +28,7 @@ class RefineOptions(Options):
     max_normal_rad: float = Field(default=0.35, gt=0, lt=1.5)
     #: Most steps per level.
     max_steps: int = Field(default=15, ge=1)
-    #: The last level ends when a step moves no point of the overlap by more than this, the others earlier [mm].
+    #: A level ends when a step moves no point of the overlap by more than this, or is small against the noise [mm].
     step_mm: float = Field(default=5e-4, gt=0)
     #: Half of what a direction may be uncertain by, to be updated at all [mm].
     max_sigma_mm: float = Field(default=2.0, gt=0)
@@ -53,7 +53,7 @@ class RefineOptions(Options):
 
 @dataclass(frozen=True)
 class Refined:
-    """Result of the refinement: transform, the last normal equations and weights, the point xi refers to."""
+    """Result of the refinement: transform, the normal equations its last step was made by, weights, xi's point."""
 
     T_a_b: Array
     about: Array
@@ -110,7 +110,7 @@ _MIN_SLOPE = 0.5
 _WEIGHINGS = 2
 #: Fewer common pixels than this cannot be refined (six unknowns, tiles for the covariance).
 MIN_POINTS = 300
-#: Every n-th pixel along both axes tells how large the residuals are.
+#: Every n-th pixel of the whole resolution along both axes tells how large the residuals are.
 _WEIGHING_STRIDE = 3
 
 
@@ -137,7 +137,7 @@ class _Problem:
     def solve(self, a: JointSide, b: JointSide, T: Array, max_distance_mm: float) -> Refined | None:
         """Return the solution of one level, None where too little is common."""
         spacing, last = b.spacing_px, b.spacing_px == self.options.spacing_px[-1]
-        stride = _WEIGHING_STRIDE if spacing == 1 else 1
+        stride = -(-_WEIGHING_STRIDE // spacing)
         weighings, enough = 1 if last else _WEIGHINGS, MIN_POINTS // spacing**2
         weights, converged, step = None, False, np.inf
         for iteration in range(self.options.max_steps):
@@ -148,23 +148,32 @@ class _Problem:
                     return None
                 weights = Weights.from_residuals(plain, (a.noise_passed + b.noise_passed) / 2)
             result = self.at(a, b, T, weights, max_distance_mm)
-            xi = _step(result, self.lever_mm, self.options.max_sigma_mm, afar=not last)
+            xi, sigmas = _step(result, self.lever_mm, self.options.max_sigma_mm, afar=not last)
             T = perturb(T, xi, self.about)
             step = float(np.linalg.norm(xi[:3]) * self.lever_mm + np.linalg.norm(xi[3:]))
-            if iteration + 1 >= weighings and step < self.options.step_mm * (1 if last else spacing * _LOOSE):
+            if step < self.options.step_mm * (1 if last else spacing * _LOOSE) or (last and sigmas < _CLOSE):
                 converged = True
                 break
         assert weights is not None
-        final = self.at(a, b, T, weights, max_distance_mm) if last else result
-        return Refined(T, self.about, self.lever_mm, final, weights, converged, step)
+        return Refined(T, self.about, self.lever_mm, result, weights, converged, step)
 
 
-#: A coarse level need not be solved closer than this, in parts of what the last one must be.
-_LOOSE = 10.0
+#: A coarse level need not be solved closer than this, in parts of what the last one must be: a step of a tenth of its
+#: pixels leaves less than the next level's own.
+_LOOSE = 50.0
+#: After a step shorter than this many standard deviations nothing is left that counts: the next one is several times
+#: shorter still.
+_CLOSE = 0.3
 
 
-def _step(e: Equations, lever_mm: float, max_sigma_mm: float, afar: bool) -> Array:
-    """Newton step with the expected curvature, without the directions that neither geometry nor texture holds."""
+def _step(e: Equations, lever_mm: float, max_sigma_mm: float, afar: bool) -> tuple[Array, float]:
+    """Newton step with the expected curvature, without the directions that neither geometry nor texture holds.
+
+    Also returns its length in standard deviations, root mean square over those that are held.
+    """
     info = information(e, lever_mm, _MIN_SLOPE, afar)
     V, values = held_directions(info, max_sigma_mm)
-    return -V @ ((V.T @ (info.scale * info.gradient)) / values)
+    gradient = V.T @ (info.scale * info.gradient)
+    across = V * info.scale[:, None]
+    sigmas = np.sqrt(gradient @ np.linalg.solve(across.T @ info.noise @ across, gradient) / max(len(values), 1))
+    return -V @ (gradient / values), float(sigmas)

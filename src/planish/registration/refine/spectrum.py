@@ -71,16 +71,16 @@ def _common(apart: tuple[Map, Map], size: tuple[int, int], number: float) -> Arr
     """Return the power (h, w // 2 + 1) of what two images have in common, 0 where it is not significant."""
     first, second = (fft.rfft2(image, size) for image in apart)
     cross = first.real * second.real + first.imag * second.imag
-    out, rest = np.zeros(cross.shape), np.ones(cross.shape)
+    out, rest = np.zeros_like(cross), np.ones_like(cross)
     for scale in _RESOLUTIONS:
         left = _averaged(rest, size, scale)
         mean, *powers = (_averaged(p * rest, size, scale) for p in (cross, _power(first), _power(second)))
         # Variance of the real part of a cross spectrum without coherence: half the product of the powers (ibid., 9.1).
-        chance = np.sqrt(powers[0] * powers[1] / 2) / _root_of_averaged(number, scale)
+        chance = np.sqrt(np.maximum(powers[0] * powers[1], 0) / 2) / _root_of_averaged(number, scale)
         with np.errstate(divide="ignore", invalid="ignore"):
             found = np.nan_to_num((mean - _SIGNIFICANT * chance) / (left * number))
         out = np.where((rest > 0) & (found > 0), found, out)
-        rest = np.where(out > 0, 0.0, rest)
+        rest = np.where(out > 0, np.float32(0), rest)
     return out
 
 
@@ -130,11 +130,10 @@ def _power(spectrum: NDArray[np.complexfloating]) -> Array:
 
 def _averaged(half: Array, size: tuple[int, int], scale: float) -> Array:
     """Average of a half spectrum (h, w // 2 + 1) over frequencies around [standard deviation, cycles per pixel]."""
-    # With both halves, so that frequencies beside 0 are averaged over what lies on its other side.
-    rows, columns = -np.arange(size[0]) % size[0], size[1] // 2 + 1
-    whole = np.hstack([half, half[rows][:, 1 : size[1] - columns + 1][:, ::-1]])
-    deviations = scale * size[1], scale * size[0]
-    smooth = cv2.GaussianBlur(
-        np.fft.fftshift(whole), (0, 0), deviations[0], sigmaY=deviations[1], borderType=cv2.BORDER_REFLECT_101
-    )
-    return np.asarray(np.fft.ifftshift(smooth)[:, :columns])
+    # The transform of a Gaussian average is a product with a Gaussian; spectra are periodic.
+    windows = (np.exp(-2 * (np.pi * scale * n * np.fft.fftfreq(n)) ** 2) for n in size)
+    rows, columns = (window.astype(np.float32) for window in windows)
+    lags = fft.irfft2(half.astype(np.float32), size)
+    lags *= rows[:, None]
+    lags *= columns
+    return np.asarray(fft.rfft2(lags, size).real)

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.geometry import Array, invert, transform_points
+from planish import _core
+from planish.geometry import Array, invert
 from planish.measurement import Map, Measurement
 from planish.registration.texture.resample import TextureImage
 from planish.registration.texture.sampling import sample
@@ -69,31 +70,22 @@ def _asked(
 
 
 def _align_one(own: NDArray[np.bool_], image: TextureImage, b: Side, T_a_b: Array, gate_mm: float) -> Aligned:
-    v, u = np.nonzero(own)
-    T_b_a = invert(T_a_b)
-    points = np.asarray(transform_points(T_b_a, image.points_sensor[v, u].astype(float)), float)
-    normals = image.normals_sensor[v, u].astype(float) @ T_b_a[:3, :3].T
-    camera, (rows, columns) = b.measurement.camera, b.measurement.shape
-    pixels = camera.project(points)
-    with np.errstate(invalid="ignore"):
-        inside = ((pixels > -0.5) & (pixels < np.array([columns, rows]) - 0.5)).all(1)
-        inside &= ((points - camera.center_sensor) * normals).sum(1) < 0
-    index = np.flatnonzero(inside)
-    column, row = np.rint(pixels[index]).astype(int).T
-    gap = ((b.measurement.points_sensor[row, column] - points[index]) * normals[index]).sum(1)
-    with np.errstate(invalid="ignore"):
-        index = index[np.abs(gap) <= gate_mm]
-    at = pixels[index].astype(np.float32)
-    drawn = [
-        sample(picture, at, nearest_outside=True) for picture in (np.nan_to_num(b.contrast[0], nan=0.0), b.contrast[1])
-    ]
-    known = np.isfinite(drawn[1])
-    index, at, drawn = index[known], at[known], [d[known] for d in drawn]
-    common = np.zeros(own.shape, bool)
+    source = _core.locate_texture(
+        np.ascontiguousarray(image.points_sensor, np.float32), np.ascontiguousarray(image.normals_sensor, np.float32),
+        own.view(np.uint8), b.measurement.camera.kernel_parameters,
+        np.ascontiguousarray(b.measurement.points_sensor, np.float32), invert(T_a_b), gate_mm, 1,
+    )  # fmt: skip
+    common = np.isfinite(source[..., 0])
+    at = source[common]
+    sigma_b = sample(b.contrast[1], at, nearest_outside=True)
+    known = np.isfinite(sigma_b)
+    if not known.all():
+        common[common] = known
+        source[~common] = np.nan
+        at, sigma_b = at[known], sigma_b[known]
     value, sigma = np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
-    source = np.full((*own.shape, 2), np.nan, np.float32)
-    place = v[index], u[index]
-    common[place], value[place], sigma[place], source[place] = True, drawn[0], drawn[1], at
+    value[common] = sample(np.nan_to_num(b.contrast[0], nan=0.0), at, nearest_outside=True)
+    sigma[common] = sigma_b
     return Aligned(image, common, value, sigma, source)
 
 
