@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from planish.registration.candidates.choose import CandidateOptions, candidate_pairs
+from planish.registration.candidates.choose import CandidateOptions, choose_pairs
 from planish.registration.keypoints.keypoints import Keypoints
 from render_tables import save_table
 
@@ -108,7 +108,7 @@ def growth() -> list[Row]:
     for columns, lines in GRIDS:
         panel = Panel(columns, lines)
         started = time.process_time()
-        pairs = set(candidate_pairs(panel, CandidateOptions()))
+        pairs = set(choose_pairs(panel, CandidateOptions()).pairs)
         seconds = time.process_time() - started - panel.seconds
         n = len(panel)
         found = [len(pairs & panel.overlapping(d)) / len(panel.overlapping(d)) for d in (False, True)]

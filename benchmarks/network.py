@@ -1,8 +1,12 @@
 """The network: wrong pairs named, errors against covariances, growth; on drawn pairs and on rendered captures.
 
     python benchmarks/network.py                    # drawn pairs: blunders, honesty, growth, given inputs; minutes
-    python benchmarks/network.py --rendered small   # captures, measured and registered: 3 x 2 panel, ring, reduced
+    python benchmarks/network.py --rendered small   # captures, measured and registered: 3 x 2 panel, ring, reduced;
+                                                    # two parts mixed, a stranger, wrong pairs, a robot that errs
     python benchmarks/network.py --rendered full    # 8 x 5 panel of 2.4 m x 1.2 m, ring of 16, full resolution
+    python benchmarks/network.py --sizes 50 100     # growth of whole runs of files, of the sizes 50 100 200 400 1000
+
+Whole runs (networks_grown.py) go in cells: those that are there are not run again, and the table is made of all.
 
 Drawn pairs have the covariances of a plate with 3 % grain and an overlap of a third (networks.py). Rendered captures go
 through the whole registration, which tries all pairs: networks_rendered.py says what they cost.
@@ -12,8 +16,10 @@ from __future__ import annotations
 
 import argparse
 import resource
+import tempfile
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -112,12 +118,17 @@ def blunders(seeds: int) -> list[Row]:
 
 def growth() -> list[Row]:
     rows = []
+    first = panel(4, 3)
+    build_network(first.nodes(), draw_pairs(first))  # what the first call makes once is not counted
     for columns, lines in ((10, 5), (10, 10), (20, 10), (20, 20), (40, 25)):
         truth = panel(columns, lines, 1)
         pairs, nodes = draw_pairs(truth, 1), truth.nodes()
-        started = time.process_time()
-        result = build_network(nodes, pairs)
-        seconds = time.process_time() - started
+        times = []
+        for _ in range(3):
+            started = time.process_time()
+            result = build_network(nodes, pairs)
+            times.append(time.process_time() - started)
+        seconds = float(np.median(times))
         joint = result.joint.groups["0"] if result.joint else None
         assert joint is not None
         rows.append(
@@ -163,13 +174,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--rendered", choices=("small", "full"))
+    parser.add_argument("--sizes", type=int, nargs="+", choices=(50, 100, 200, 400, 1000))
+    parser.add_argument("--again", action="store_true", help="run the sizes that are already there, too")
+    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "planish-network",
+                        help="folder for the measurements of --sizes")  # fmt: skip
     arguments = parser.parse_args()
-    if arguments.rendered is None:
+    if arguments.sizes is not None:
+        from networks_grown import grown
+
+        grown(arguments.sizes, arguments.cache, arguments.again)
+    elif arguments.rendered is None:
         drawn(arguments.seeds, f"python benchmarks/network.py --seeds {arguments.seeds}")
     else:
         from networks_rendered import rendered
 
         rendered(arguments.rendered)
+        if arguments.rendered == "small":
+            from networks_faults import faults
+
+            faults()
 
 
 if __name__ == "__main__":

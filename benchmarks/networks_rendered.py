@@ -28,9 +28,9 @@ FIELD_MM, OVERLAP = (444.0, 332.0), 0.35
 GRAIN = 0.03
 
 
-def grid(columns: int, rows: int) -> list[tuple[float, float]]:
+def grid(columns: int, rows: int, overlap: float = OVERLAP) -> list[tuple[float, float]]:
     """Return the places (s, t) [mm] of a grid about the middle of the panel."""
-    step_s, step_t = ((1 - OVERLAP) * size for size in FIELD_MM)
+    step_s, step_t = ((1 - overlap) * size for size in FIELD_MM)
     return [
         (step_s * (i - (columns - 1) / 2), step_t * (j - (rows - 1) / 2)) for j in range(rows) for i in range(columns)
     ]

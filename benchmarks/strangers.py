@@ -13,7 +13,6 @@ from __future__ import annotations
 import pickle
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, product
@@ -28,8 +27,7 @@ from cells import Rows, cell_arguments, read_rows, run_cells
 from coarse_parts import HALF_SAMPLES, SURFACES, Seen, Stand, seen_overlap
 from coarse_tables import cases as coarse_cases
 from planish.pipeline import RegisterOptions, prepare_run
-from planish.registration.pair import Prepared, register_pair
-from planish.registration.refine.residuals import JointSide
+from planish.registration.pair import Prepared, RefinementMaps, Sides, register_pair
 from planish.simulation.scenes import Scene, make_scene
 from render_tables import save_table
 from rendered import measure_scene
@@ -66,23 +64,14 @@ def _any_stand(rng: np.random.Generator, s: float = 0.0, t: float = 0.0) -> Stan
     )
 
 
-class StoredSides(Mapping[float, JointSide]):
+class StoredMaps(RefinementMaps):
     """Refinement maps that are read from their file when asked for: pairs that are refused never ask."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def _all(self) -> dict[float, JointSide]:
+    def get(self) -> tuple[Sides, Sides]:
         return pickle.loads(self.path.read_bytes())
-
-    def __getitem__(self, key: float) -> JointSide:
-        return self._all()[key]
-
-    def __iter__(self) -> Iterator[float]:
-        return iter(self._all())
-
-    def __len__(self) -> int:
-        return len(self._all())
 
 
 def _store(item: Any, path: Path) -> Path:
@@ -94,9 +83,9 @@ def _store(item: Any, path: Path) -> Path:
 
 
 def _slim(item: Prepared, scratch: Path) -> Prepared:
-    name = item.measurement.name
-    sides = {kind: _store(dict(getattr(item, kind)), scratch / f"{name}.{kind}") for kind in ("sides", "fit_sides")}
-    return replace(item, **{kind: StoredSides(path) for kind, path in sides.items()})
+    return replace(
+        item, refinement=StoredMaps(_store(item.refinement.get(), scratch / f"{item.measurement.name}.maps"))
+    )
 
 
 def prepare_block(block: int, parts: int, scratch: Path) -> tuple[RegisterOptions, list[Prepared]]:

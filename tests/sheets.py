@@ -30,10 +30,10 @@ T_TRUE = perturb(np.eye(4), [0.02, -0.03, 0.3, 60, 25, 5], [0, 0, 0])
 
 
 @cache
-def grain(contrast=0.03):
+def grain(contrast=0.03, seed=1):
     # Drawn at a quarter of the raster's resolution: this grain holds nothing finer.
     n = round(2 * synthetic.RASTER_MM / synthetic.RASTER_PITCH_MM)
-    noise = np.random.default_rng(1).standard_normal((n // 4, n // 4), dtype=np.float32)
+    noise = np.random.default_rng(seed).standard_normal((n // 4, n // 4), dtype=np.float32)
     sx, sy = (c / synthetic.RASTER_PITCH_MM / 8 for c in GRAIN_MM)
     relief = cv2.resize(cv2.GaussianBlur(noise, (0, 0), sx, sigmaY=sy), (n, n), interpolation=cv2.INTER_CUBIC)
     return 1 + contrast * relief / relief.std()

@@ -8,7 +8,7 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 
-from planish.registration.candidates.choose import CandidateOptions, best_partners, candidate_pairs, possible_pairs
+from planish.registration.candidates.choose import CandidateOptions, best_partners, choose_pairs, possible_pairs
 from planish.registration.candidates.forest import nearest_of_others
 from planish.registration.candidates.sample import take_sample
 from planish.registration.candidates.votes import Votes, count_votes
@@ -50,11 +50,11 @@ def neighbours(measurements):
 
 def test_few_measurements_are_tried_in_all_pairs():
     found = strip(5)
-    assert candidate_pairs(found, FAST) == list(combinations(sorted(found), 2))
+    assert choose_pairs(found, FAST).pairs == list(combinations(sorted(found), 2))
 
 
 def test_of_many_those_with_places_in_common_are_tried_and_most_others_are_not():
-    pairs = candidate_pairs(strip(40), FAST)
+    pairs = choose_pairs(strip(40), FAST).pairs
     assert neighbours(40) <= set(pairs)
     # At most that many partners of either side.
     assert len(pairs) <= 40 * FAST.partners
@@ -73,26 +73,26 @@ def test_overlap_is_significant_and_chance_is_not():
 def test_order_of_the_measurements_does_not_matter():
     found = strip(12)
     backwards = {name: found[name] for name in sorted(found, reverse=True)}
-    assert candidate_pairs(backwards, FAST) == candidate_pairs(found, FAST)
+    assert choose_pairs(backwards, FAST).pairs == choose_pairs(found, FAST).pairs
 
 
 def test_added_measurements_are_tried_with_those_that_were_there_and_with_each_other():
     found = strip(20)
     new = {"m007", "m008"}
-    pairs = candidate_pairs(found, FAST, new)
+    pairs = choose_pairs(found, FAST, new).pairs
     assert {("m006", "m007"), ("m007", "m008"), ("m008", "m009")} <= set(pairs)
     assert [pair for pair in pairs if not new & set(pair)] == []
 
 
 def test_a_measurement_without_keypoints_costs_nothing_and_harms_nothing():
     found = strip(12) | {"m005": no_keypoints()}
-    pairs = candidate_pairs(found, FAST)
+    pairs = choose_pairs(found, FAST).pairs
     assert [pair for pair in pairs if "m005" in pair] == []
     assert {("m003", "m004"), ("m006", "m007")} <= set(pairs)
 
 
 def test_no_keypoints_at_all_give_no_pairs():
-    assert candidate_pairs({f"m{k}": no_keypoints() for k in range(8)}, FAST) == []
+    assert choose_pairs({f"m{k}": no_keypoints() for k in range(8)}, FAST).pairs == []
 
 
 def test_significant_votes_earn_more_partners_but_not_any_number():

@@ -19,7 +19,7 @@ from planish.errors import InputError
 from planish.execution.cluster import DaskCluster, call_if_same_code
 from planish.execution.executor import Threads
 from planish.execution.pool import WorkerLostError, WorkerPool
-from planish.execution.recent import Recent, size_bytes
+from planish.execution.recent import Recent, arrays_of
 from planish.execution.store import StageStore, code_version, content_key
 from planish.geometry import Array
 from planish.pipeline.schedule import blocks
@@ -170,7 +170,21 @@ def test_an_object_is_made_once_whatever_number_of_threads_ask():
 
 def test_shared_arrays_count_once():
     result = replace(RESULT, values=np.zeros(100))
-    assert size_bytes([result, {"x": result.values[10:]}, (result.values,)]) == 800
+    assert sum(arrays_of([result, {"x": result.values[10:]}, (result.values,)]).values()) == 800
+
+
+def test_objects_that_grow_while_they_are_used_make_others_go():
+    recent, grown = Recent(max_bytes=3 * 8000, max_number=10), []
+    recent.get("old", lambda: np.zeros(1000))
+    recent.get("growing", lambda: grown)
+    grown.append(np.zeros(2500))
+    recent.get("new", lambda: np.zeros(100))
+    assert [recent.peek(key) is not None for key in ("old", "growing", "new")] == [False, True, True]
+    # What two objects share goes when both have gone.
+    both = np.zeros(2000)
+    for key in "ab":
+        recent.get(key, lambda: both)
+    assert [recent.peek(key) is not None for key in ("growing", "new", "a", "b")] == [False, True, True, True]
 
 
 def loads(order, kept):

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from networks import SIGMA, draw_pairs, misplaced, panel, ring, shift, unused
+from networks import FIELD, SIGMA, draw_pairs, misplaced, panel, ring, shift, unused
 from planish.geometry import adjoint, difference, exp_se3, invert, log_se3, perturb, transform_points, translation
 from planish.registration.network.adjust import NetworkOptions, adjust
 from planish.registration.network.batch import adjoints, exponentials, inverses, logarithms
 from planish.registration.network.blocks import factor
 from planish.registration.network.build import build_network
-from planish.registration.network.groups import start_transforms
+from planish.registration.network.groups import choose_reference, start_transforms
 from planish.registration.network.joint import JointCovariances
 from planish.registration.network.relations import Stack, pair_relation
 
@@ -39,6 +39,8 @@ def test_the_sparse_factor_solves_and_inverts_as_a_dense_one_does():
         A = rng.standard_normal((12, 12)) * np.tile([1e3] * 3 + [1.0] * 3, 2)
         H, (a, b) = A.T @ A, ((a, b) if rng.random() < 0.5 else (b, a))
         i, j, blocks = [*i, a, b, a], [*j, a, b, b], [*blocks, H[:6, :6], H[6:, 6:], H[:6, 6:]]
+    # Two say something of the same two unknowns.
+    i, j, blocks = [*i, *i[-3:]], [*j, *j[-3:]], [*blocks, *blocks[-3:]]
     i, j, blocks = np.array(i), np.array(j), np.array(blocks)
     found, N = factor(n, i, j, blocks), dense(n, i, j, blocks)
     rhs = rng.standard_normal((n, 6, 2))
@@ -55,6 +57,14 @@ def test_equations_that_hold_nothing_of_an_unknown_are_refused():
     blocks = np.array([np.eye(6), np.zeros((6, 6))])
     with pytest.raises(np.linalg.LinAlgError, match="held by nothing"):
         factor(2, np.array([0, 1]), np.array([0, 1]), blocks)
+
+
+def test_the_reference_of_many_measurements_lies_in_their_middle():
+    truth = panel(21, 15)
+    middle = np.mean([T[:2, 3] for T in truth.T.values()], axis=0)
+    chosen = choose_reference(sorted(truth.T), draw_pairs(truth))
+    # Within two of 315 places along either axis: what the ways to every second of them tell.
+    assert (np.abs(truth.T[chosen][:2, 3] - middle) < 2.5 * 0.65 * np.array(FIELD)).all()
 
 
 def test_motions_of_many_transforms_are_those_of_one():

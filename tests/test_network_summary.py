@@ -14,7 +14,7 @@ from planish.geometry import invert, perturb, transform_points
 from planish.registration.network.adjust import adjust
 from planish.registration.network.build import build_network
 from planish.registration.network.groups import start_transforms
-from planish.registration.network.loops import fundamental_loops, graph_of, walk_error
+from planish.registration.network.loops import chain_of, fundamental_loops, graph_of
 from planish.registration.network.relinearise import at_the_network, quadratic
 from planish.registration.result import PairResult, Registration
 from planish.report.network import network_lines, network_section
@@ -65,9 +65,10 @@ def test_the_error_of_a_walk_is_that_of_its_pairs_one_after_the_other():
                   for i, s in enumerate(loop)]  # fmt: skip
         wrong = replace(pair, T_a_b=perturb(pair.T_a_b, mode, pair.covariance_point_mm))
         moved = [replace(s, pair=wrong) if i == k else s for i, s in enumerate(loop)]
-        T, _, modes = walk_error(stated, point)
-        expected = perturb(T, modes[:, 0], point)
-        np.testing.assert_allclose(walk_error(moved, point)[0], expected, atol=1e-6)
+        chain = chain_of(stated)
+        modes = chain.error_about(point)[1]
+        expected = perturb(chain.T_start_end, modes[:, 0], point)
+        np.testing.assert_allclose(chain_of(moved).T_start_end, expected, atol=1e-6)
 
 
 def test_what_hangs_on_one_pair_is_said_and_nothing_else():

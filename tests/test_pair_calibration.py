@@ -13,7 +13,7 @@ import sheets
 from calibrated_rig import with_calibration
 from planish.geometry import compose, difference, exp_so3, perturb
 from planish.pipeline import register
-from planish.registration.pair import Prepared, pair_shifts, refine_pair
+from planish.registration.pair import Prepared, RefinementMaps, pair_shifts, refine_pair
 from planish.registration.refine.calibration import calibration_covariance
 from planish.registration.refine.covariance import noise_covariance
 from planish.registration.refine.residuals import Weights, equations, pull
@@ -64,7 +64,8 @@ def prepared(m):
     surface, contrast = fit_surface(m), local_contrast(m)
     options = sheets.OPTIONS
     sides = joint_sides(m, surface, contrast, options.refine.spacing_px, options.photometric.shading_mm)
-    return Prepared(m, surface, contrast, (), (), None, sides, sides, sheets.OPTIONS.dense)
+    maps = RefinementMaps(lambda: (sides, sides))
+    return Prepared(m, surface, contrast, (), (), None, maps, sheets.OPTIONS.dense)
 
 
 @pytest.mark.parametrize("bend", [0.0, sheets.BENT])

@@ -11,7 +11,8 @@ import sheets
 import synthetic
 from planish.errors import InputError
 from planish.geometry import difference, exp_se3, invert
-from planish.pipeline import register
+from planish.pipeline import prepare_run, register
+from planish.registration.pair import RefinementMaps, register_pair
 from planish.rig import Rig
 
 #: 1.3 mm per pixel: a hundredth of a pixel along the surface, far less along the normal.
@@ -43,6 +44,22 @@ def test_measurements_of_one_part_are_placed_rightly(registration):
         if placed.group == 0:
             T_true = invert(PLACES[reference]) @ PLACES[placed.name]
             assert sheets.errors_mm(placed.T_world_measurement, T_true, points).max() < PLACE_TOLERANCE_MM
+
+
+def test_maps_for_the_refinement_are_made_once_and_only_where_a_pair_is_accepted(measurements):
+    options, prepared = prepare_run(measurements, threads=2)
+    made = []
+
+    def watched(name):
+        item = prepared[name]
+        return replace(item, refinement=RefinementMaps(lambda: made.append(name) or item.refinement.get()))
+
+    left, middle, blank = (watched(name) for name in ("left", "middle", "blank"))
+    assert register_pair(left, blank, options).status == "refused"
+    assert made == []
+    assert register_pair(left, middle, options).status == "accepted"
+    assert register_pair(middle, left, options).status == "accepted"
+    assert sorted(made) == ["left", "middle"]
 
 
 def test_what_shows_no_texture_or_no_surface_stays_alone_with_a_reason(registration):

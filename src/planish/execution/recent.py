@@ -6,6 +6,7 @@ import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping
+from itertools import islice
 from typing import Any, TypeVar
 
 import numpy as np
@@ -24,6 +25,8 @@ class Recent:
     def __init__(self, max_bytes: int, max_number: int = MAX_NUMBER) -> None:
         self.max_bytes, self.max_number = max_bytes, max_number
         self._items: OrderedDict[Hashable, Any] = OrderedDict()
+        #: Per object its arrays and their memory, as of when it was last looked at.
+        self._arrays: dict[Hashable, dict[int, int]] = {}
         self._making: dict[Hashable, threading.Lock] = {}
         self._lock = threading.Lock()
 
@@ -54,28 +57,44 @@ class Recent:
         """Drop an object: another one has taken it over."""
         with self._lock:
             self._items.pop(key, None)
+            self._arrays.pop(key, None)
 
     def clear(self) -> None:
         """Drop all objects."""
         with self._lock:
             self._items.clear()
+            self._arrays.clear()
 
     def _drop(self) -> None:
-        # Objects grow: some of their parts are made on demand.
-        while len(self._items) > 1 and (
-            len(self._items) > self.max_number or size_bytes(list(self._items.values())) > self.max_bytes
-        ):
-            self._items.popitem(last=False)
+        # Objects grow while they are in use: some of their parts are made on demand. Others stay as they are, and to
+        # look at all of them each time would take longer than what they are kept for.
+        for key in islice(reversed(self._items), _IN_USE):
+            self._arrays[key] = arrays_of(self._items[key])
+        while len(self._items) > 1 and (len(self._items) > self.max_number or self._bytes() > self.max_bytes):
+            key, _ = self._items.popitem(last=False)
+            self._arrays.pop(key, None)
+
+    def _bytes(self) -> int:
+        together: dict[int, int] = {}
+        for key in self._items:
+            together |= self._arrays.get(key, {})
+        return sum(together.values())
 
 
-def size_bytes(value: Any) -> int:
-    """Return the memory of all arrays that objects, mappings and sequences hold; shared ones count once."""
+#: So many objects, those asked for last, may be in use: two by each of some threads.
+_IN_USE = 8
+
+
+def arrays_of(value: Any) -> dict[int, int]:
+    """Return the memory [bytes] of all arrays that objects, mappings and sequences hold, by the array's identity."""
     seen: dict[int, int] = {}
     _collect(value, seen)
-    return sum(seen.values())
+    return seen
 
 
 def _collect(value: Any, seen: dict[int, int]) -> None:
+    if value is None or isinstance(value, str | bytes | int | float):
+        return
     if isinstance(value, np.ndarray):
         base = value
         while isinstance(base.base, np.ndarray):

@@ -15,9 +15,11 @@ from planish.execution.executor import Threads
 from planish.measurement import Measurement
 from planish.options import thread_count
 from planish.pipeline.options import RegisterOptions
+from planish.pipeline.rounds import register_in_rounds
 from planish.pipeline.stages import centroid, some_points
 from planish.pipeline.versions import versions
-from planish.registration.candidates.choose import candidate_pairs, possible_pairs
+from planish.registration.candidates.choose import Pair, choose_pairs, possible_pairs
+from planish.registration.candidates.footprint import Footprint, footprint
 from planish.registration.network.build import Node, build_network
 from planish.registration.network.given import Given
 from planish.registration.pair import (
@@ -108,10 +110,10 @@ def register_run(
     options, count, say = options or RegisterOptions(), thread_count(threads), progress or (lambda *_: None)
     ordered = _checked(measurements, reference)
     options, prepared = prepare_run(ordered, options, threads=count, progress=say)
-    pairs = _register_pairs(prepared, options, count, say)
+    nodes = [_node(m, *(files or {}).get(m.name, ("", ""))) for m in ordered]
+    pairs = _register_pairs(prepared, nodes, options, count, say)
     overlaps = _evaluate_pairs(prepared, pairs, count, say)
     pairs = [_with_overlap(pair, overlaps.get((pair.a, pair.b))) for pair in pairs]
-    nodes = [_node(m, *(files or {}).get(m.name, ("", ""))) for m in ordered]
     registration = build_network(
         nodes, pairs, options.network, reference=reference, record=options.model_dump(mode="json"), versions=versions(),
         given=given, normal_equations=pair_costs(prepared, options, count),
@@ -174,15 +176,21 @@ def _prepare_all(
 
 
 def _register_pairs(
-    prepared: Mapping[str, Prepared], options: RegisterOptions, threads: int, say: Progress
+    prepared: Mapping[str, Prepared], nodes: Sequence[Node], options: RegisterOptions, threads: int, say: Progress
 ) -> list[PairResult]:
-    tried = candidate_pairs({name: item.keypoints for name, item in prepared.items()}, options.candidates)
+    choice = choose_pairs({name: item.keypoints for name, item in prepared.items()}, options.candidates)
     in_run = possible_pairs(len(prepared))
 
-    def one(pair: tuple[str, str], own: int) -> PairResult:
+    def one(pair: Pair, own: int) -> PairResult:
         return register_pair(prepared[pair[0]], prepared[pair[1]], options, in_run, own)
 
-    return _parallel(tried, one, "pairs", threads, say)
+    def register_all(pairs: Sequence[Pair]) -> list[PairResult]:
+        return _parallel(pairs, one, "pairs", threads, say)
+
+    def footprints() -> dict[str, Footprint]:
+        return {name: footprint(item.measurement) for name, item in prepared.items()}
+
+    return register_in_rounds(choice, [], nodes, options, register_all, footprints)[1]
 
 
 def _evaluate_pairs(

@@ -7,7 +7,7 @@ measurement more.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
@@ -20,12 +20,14 @@ from planish.execution.store import StageStore
 from planish.files.given import GivenFiles, read_given
 from planish.pipeline.frozen import Batch, Frozen, FrozenMeasurement
 from planish.pipeline.options import RegisterOptions
+from planish.pipeline.rounds import register_in_rounds
 from planish.pipeline.schedule import MAX_BLOCK, blocks
 from planish.pipeline.stages import (
     PairStage,
     PatternStage,
     Source,
     View,
+    find_footprint,
     find_keypoints,
     look_at,
     points_of,
@@ -33,7 +35,8 @@ from planish.pipeline.stages import (
     sum_pattern,
 )
 from planish.pipeline.versions import versions
-from planish.registration.candidates.choose import candidate_pairs, possible_pairs
+from planish.registration.candidates.choose import Pair, choose_pairs, possible_pairs
+from planish.registration.candidates.footprint import Footprint
 from planish.registration.network.build import Node, build_network
 from planish.registration.pair import length_factor, median_gsd, texture_pitch
 from planish.registration.pair_costs import pair_costs
@@ -208,10 +211,9 @@ class _Run:
         pitch = texture_pitch(self.frozen.gsd_mm)
         views = {name: View.of(store, sources[name], pitch, options, patterns.get(name)) for name in sorted(sources)}
         self._count("texture", find_keypoints, list(views.values()))
-        tried = self._tried(views, batches, options)
-        pairs = self._pairs(views, batches, tried, options)
-        results = self._register(pairs)
         nodes = self._nodes([sources[name] for name in views], given.surface is not None)
+        pairs = self._known_pairs(views, options)
+        tried, results = self._try_pairs(views, batches[-1], nodes, options, pairs)
         count = self.executor.slots
         costs = pair_costs(OfViews(views, lambda view: view.prepared(count)), options, count)
         registration = build_network(
@@ -222,7 +224,8 @@ class _Run:
         if registration.joint is not None:
             registration.joint.save(self.out / "network.h5")
         entries = [[FrozenMeasurement.of(sources[name]) for name in batch] for batch in batches]
-        record = tuple(Batch(measurements=tuple(e), pairs=tuple(p)) for e, p in zip(entries, tried, strict=True))
+        all_tried = [*(batch.pairs for batch in self.frozen.batches), tried]
+        record = tuple(Batch(measurements=tuple(e), pairs=tuple(p)) for e, p in zip(entries, all_tried, strict=True))
         replace(self.frozen, batches=record).save(store.folder)
         return FileRun(registration, views, pairs, self.reused)
 
@@ -266,37 +269,50 @@ class _Run:
         points = dict(self.executor.map(points_of, sources)) if with_points else {}
         return [Node(s.name, s.path.name, s.sha256, s.centroid_sensor, points.get(i)) for i, s in enumerate(sources)]
 
-    def _tried(
-        self, views: Mapping[str, View], batches: Sequence[Sequence[str]], options: RegisterOptions
-    ) -> list[list[tuple[str, str]]]:
-        """Return the pairs to try, per batch; those of batches that are registered are known."""
-        tried = [list(batch.pairs) for batch in self.frozen.batches]
-        new = None if not tried else set(batches[-1])
-        return [*tried, candidate_pairs(OfViews(views, lambda view: view.keypoints(1)[0]), options.candidates, new)]
-
-    def _pairs(
-        self,
-        views: Mapping[str, View],
-        batches: Sequence[Sequence[str]],
-        tried: Sequence[Sequence[tuple[str, str]]],
-        options: RegisterOptions,
-    ) -> dict[tuple[str, str], PairStage]:
-        """Return all pairs; a batch's chance of false alarms counts the possible pairs of the run as it was then."""
-        pairs: dict[tuple[str, str], PairStage] = {}
-        for number, batch in enumerate(tried):
-            in_run = possible_pairs(sum(len(part) for part in batches[: number + 1]))
-            pairs |= {(a, b): PairStage.of(views[a], views[b], options, in_run) for a, b in batch}
+    def _known_pairs(self, views: Mapping[str, View], options: RegisterOptions) -> dict[Pair, PairStage]:
+        """Return the pairs of earlier batches; their chance of false alarms counts the possible pairs as they were."""
+        pairs: dict[Pair, PairStage] = {}
+        measurements = 0
+        for batch in self.frozen.batches:
+            measurements += len(batch.measurements)
+            in_run = possible_pairs(measurements)
+            pairs |= {(a, b): PairStage.of(views[a], views[b], options, in_run) for a, b in batch.pairs}
         return pairs
 
-    def _register(self, pairs: Mapping[tuple[str, str], PairStage]) -> list[PairResult]:
+    def _try_pairs(
+        self,
+        views: Mapping[str, View],
+        last: Collection[str],
+        nodes: Sequence[Node],
+        options: RegisterOptions,
+        pairs: dict[Pair, PairStage],
+    ) -> tuple[list[Pair], list[PairResult]]:
+        """Add to the known pairs those that are tried because of the last batch; return these and all results."""
+        new = last if self.frozen.batches else None
+        choice = choose_pairs(OfViews(views, lambda view: view.keypoints(1)[0]), options.candidates, new)
+        in_run = possible_pairs(len(views))
+
+        def register(names: Sequence[Pair]) -> list[PairResult]:
+            for a, b in names:
+                pairs.setdefault((a, b), PairStage.of(views[a], views[b], options, in_run))
+            return self._register({name: pairs[name] for name in names})
+
+        def footprints() -> dict[str, Footprint]:
+            self._count("footprints", find_footprint, list(views.values()))
+            return {name: view.footprint()[0] for name, view in views.items()}
+
+        return register_in_rounds(choice, list(pairs), nodes, options, register, footprints, new)
+
+    def _register(self, pairs: Mapping[Pair, PairStage]) -> list[PairResult]:
         """Register the pairs that are not registered, and return all, without their pixels."""
         results = {names: result for names, pair in pairs.items() if (result := _without_pixels(pair)) is not None}
-        there, total = len(results), len(pairs)
-        self.say("pairs", there, total, there)
+        there, total = self.reused.get("pairs", (0, 0))
+        done = total + len(results)
+        there, total = there + len(results), total + len(pairs)
+        self.say("pairs", done, total, there)
         self.reused["pairs"] = (there, total)
         most = 1 if self.executor.shares_memory else MAX_BLOCK
         groups = blocks([names for names in pairs if names not in results], self.executor.slots, most)
-        done = there
         for _, count in self.executor.map(register_pairs, [tuple(pairs[names] for names in g) for g in groups]):
             done += count
             self.say("pairs", done, total, there)

@@ -24,6 +24,7 @@ from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import thread_count
 from planish.pipeline.options import RegisterOptions
+from planish.registration.candidates.footprint import Footprint, footprint
 from planish.registration.keypoints.detect import detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
 from planish.registration.pair import (
@@ -41,7 +42,7 @@ from planish.registration.texture.photometric import local_contrast
 from planish.registration.tiles import ground_sample_distance
 
 #: Names of the stages: folders of the store.
-PATTERN, KEYPOINTS, PAIRS, OVERLAPS = "pattern", "keypoints", "pairs", "overlaps"
+PATTERN, KEYPOINTS, FOOTPRINTS, PAIRS, OVERLAPS = "pattern", "keypoints", "footprints", "pairs", "overlaps"
 
 
 @dataclass(frozen=True)
@@ -185,6 +186,11 @@ class View:
             lambda: detect_keypoints(self.textured(threads).images, self.options.keypoints),
         )  # fmt: skip
 
+    def footprint(self) -> tuple[Footprint, bool]:
+        """Return some points of the surface, and whether they were there."""
+        key = content_key(FOOTPRINTS, self.source.sha256)
+        return self.store.read_or_make(FOOTPRINTS, key, Footprint, lambda: footprint(load(self.source)))
+
     def prepared(self, threads: int) -> Prepared:
         """Return all that pairs need, kept for a while."""
         return RECENT.get(("prepared", self.key), lambda: self._prepare(threads))
@@ -236,6 +242,11 @@ def sum_pattern(stage: PatternStage, threads: int) -> bool:
 def find_keypoints(view: View, threads: int) -> bool:
     """Find the keypoints of a measurement; return whether they were there."""
     return view.keypoints(threads)[1]
+
+
+def find_footprint(view: View, threads: int) -> bool:
+    """Find some points of the surface of a measurement; return whether they were there."""
+    return view.footprint()[1]
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -56,6 +57,29 @@ class PairOptions(Options):
     verdict: VerdictOptions = VerdictOptions()
 
 
+#: Per spacing of the pixels.
+Sides = Mapping[int, JointSide]
+
+
+class RefinementMaps:
+    """What the refinement needs of one measurement: made when the first pair is accepted, for most are refused.
+
+    `make` returns per spacing the maps, and those without the tiles that later judge the fit. Each measurement has a
+    lock of its own: those of others are made at the same time.
+    """
+
+    def __init__(self, make: Callable[[], tuple[Sides, Sides]]) -> None:
+        self._make, self._lock = make, threading.Lock()
+        self._made: tuple[Sides, Sides] | None = None
+
+    def get(self) -> tuple[Sides, Sides]:
+        """Return what `make` has made, made once."""
+        with self._lock:
+            if self._made is None:
+                self._made = self._make()
+            return self._made
+
+
 @dataclass(frozen=True)
 class Prepared:
     """What registration needs of one measurement, computed once and used in every pair."""
@@ -66,10 +90,18 @@ class Prepared:
     images: tuple[TextureImage, ...]
     patches: tuple[PatchImage, ...]
     keypoints: Keypoints
-    #: Per spacing of the pixels; `fit` leaves out the tiles that later judge the fit.
-    sides: Mapping[int, JointSide]
-    fit_sides: Mapping[int, JointSide]
+    refinement: RefinementMaps
     dense_options: DenseOptions
+
+    @property
+    def sides(self) -> Sides:
+        """Per spacing of the pixels what the refinement needs."""
+        return self.refinement.get()[0]
+
+    @property
+    def fit_sides(self) -> Sides:
+        """The same without the tiles that later judge the fit."""
+        return self.refinement.get()[1]
 
     @cached_property
     def dense(self) -> tuple[DenseTexture, ...]:
@@ -153,10 +185,13 @@ def prepare_textured(
     options = options or PairOptions()
     measurement, surface, contrast = item.measurement, item.surface, item.contrast
     spacings, shading_mm = options.refine.spacing_px, options.photometric.shading_mm
-    sides = joint_sides(measurement, surface, contrast, spacings, shading_mm, threads)
-    fit_sides = _without(sides, held_out_pixels(measurement))
-    patches = patch_images(item.images)
-    return Prepared(measurement, surface, contrast, item.images, patches, keypoints, sides, fit_sides, options.dense)
+
+    def make() -> tuple[Sides, Sides]:
+        sides = joint_sides(measurement, surface, contrast, spacings, shading_mm, threads)
+        return sides, _without(sides, held_out_pixels(measurement))
+
+    patches, maps = patch_images(item.images), RefinementMaps(make)
+    return Prepared(measurement, surface, contrast, item.images, patches, keypoints, maps, options.dense)
 
 
 def prepare(
@@ -347,7 +382,7 @@ def residual_statistics(
     return fit_statistics(side_a, side_b, refined, options.refine, thread_count(threads))
 
 
-def _without(sides: Mapping[int, JointSide], mask: NDArray[np.bool_] | None) -> Mapping[int, JointSide]:
+def _without(sides: Sides, mask: NDArray[np.bool_] | None) -> Sides:
     return sides if mask is None else {n: side.without(mask) for n, side in sides.items()}
 
 

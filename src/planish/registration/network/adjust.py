@@ -12,8 +12,9 @@ from pydantic import Field
 from planish.geometry import Array
 from planish.options import Options
 from planish.registration.network.batch import adjoints, exponentials, moved_points, shifts
-from planish.registration.network.blocks import BlockCholesky, Indices, factor
+from planish.registration.network.blocks import BlockCholesky, factor
 from planish.registration.network.contradictions import Contradiction, contradictions
+from planish.registration.network.elimination import Elimination, Indices, eliminate
 from planish.registration.network.joint import JointCovariance
 from planish.registration.network.relations import Linearised, Relation, Stack, pair_relation
 from planish.registration.result import PairResult
@@ -117,8 +118,10 @@ def adjust_relations(
     unknown[index[reference]] = -1
     free = unknown >= 0
     lin, cholesky = stack.linearise(T, moved_points(T, own)), None
+    tied = (unknown[stack.a] >= 0) & (unknown[stack.b] >= 0)
+    pattern = eliminate(int(free.sum()), unknown[stack.a][tied], unknown[stack.b][tied])
     for _ in range(options.max_steps if free.any() else 0):
-        cholesky, x = _step(stack, lin, unknown)
+        cholesky, x = _step(stack, lin, unknown, pattern)
         centres = moved_points(T, own)[free]
         T[free] = shifts(centres) @ exponentials(x) @ shifts(-centres) @ T[free]
         lin = stack.linearise(T, moved_points(T, own))
@@ -131,7 +134,7 @@ def adjust_relations(
 _CONVERGED = 1e-9
 
 
-def _step(stack: Stack, lin: Linearised, unknown: Indices) -> tuple[BlockCholesky, Array]:
+def _step(stack: Stack, lin: Linearised, unknown: Indices, pattern: Elimination) -> tuple[BlockCholesky, Array]:
     """Return the factor of the normal equations and the step (n, 6)."""
     count = int(unknown.max()) + 1
     a, b = unknown[stack.a], unknown[stack.b]
@@ -140,7 +143,7 @@ def _step(stack: Stack, lin: Linearised, unknown: Indices) -> tuple[BlockCholesk
     i = np.concatenate([a[at_a], b[at_b], a[both]])
     j = np.concatenate([a[at_a], b[at_b], b[both]])
     blocks = np.concatenate([(to_a @ lin.by_a)[at_a], (to_b @ lin.by_b)[at_b], (to_a @ lin.by_b)[both]])
-    cholesky = factor(count, i, j, blocks)
+    cholesky = factor(count, i, j, blocks, pattern)
     return cholesky, cholesky.solve(_right_hand_side(lin, lin.r[:, :, None], a, b, count))[:, :, 0]
 
 

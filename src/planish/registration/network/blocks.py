@@ -1,22 +1,21 @@
 """Symmetric positive definite equations of 6 x 6 blocks, sparse: factor, solution, chosen blocks of the inverse.
 
 Six unknowns per measurement, one block per pair: a network of n measurements has few of the n^2 blocks. Multifrontal
-Cholesky (Duff and Reid 1983) after minimum degree (Tinney and Walker 1967); the inverse where N has blocks by the
-recursion of Takahashi, Fagan and Chin (1973), which never builds the rest of it.
+Cholesky (Duff and Reid 1983), one front per supernode; the inverse where N has blocks by the recursion of Takahashi,
+Fagan and Chin (1973), which never builds the rest of it.
 """
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from planish.geometry import Array
+from planish.registration.network.elimination import Elimination, Indices, eliminate, supernodes
 
-Indices = NDArray[np.int64]
 #: Unknowns of one block.
 SIZE = 6
 
@@ -46,72 +45,87 @@ class BlockCholesky:
     columns: Array
     scale: Array
 
-    def column(self, k: int) -> tuple[Indices, Array]:
-        """Return the rows (r,) of column k below the diagonal and its blocks (6 r, 6), one under the other."""
-        part = slice(self.starts[k], self.starts[k + 1])
-        return self.below[part], self.columns[part].reshape(-1, SIZE)
-
     def solve(self, rhs: Array) -> Array:
         """Return N^-1 rhs for rhs (n, 6, m)."""
         x = (rhs * self.scale[:, :, None])[self.order]
-        for k in range(len(self.order)):
-            rows, column = self.column(k)
-            x[k] = np.linalg.solve(self.diagonal[k], x[k])
-            if len(rows):
-                x[rows] -= (column @ x[k]).reshape(len(rows), SIZE, -1)
-        for k in range(len(self.order) - 1, -1, -1):
-            rows, column = self.column(k)
-            if len(rows):
-                x[k] -= column.T @ x[rows].reshape(len(rows) * SIZE, -1)
-            x[k] = np.linalg.solve(self.diagonal[k].T, x[k])
+        width = x.shape[2]
+        if not x.size:
+            return x
+        fronts = list(self._fronts())
+        for first, end, rows, own, across in fronts:
+            here = solve_triangular(own, x[first:end].reshape(-1, width), lower=True, check_finite=False)
+            x[first:end] = here.reshape(-1, SIZE, width)
+            x[rows] -= (across @ here).reshape(-1, SIZE, width)
+        for first, end, rows, own, across in reversed(fronts):
+            here = x[first:end].reshape(-1, width) - across.T @ x[rows].reshape(-1, width)
+            here = solve_triangular(own, here, lower=True, trans=1, check_finite=False)
+            x[first:end] = here.reshape(-1, SIZE, width)
         out = np.empty_like(x)
         out[self.order] = x
         return out * self.scale[:, :, None]
 
     def inverse_blocks(self, i: Indices, j: Indices) -> Array:
         """Return the blocks (m, 6, 6) of N^-1 at (i, j); N itself must have blocks there."""
-        rank = np.empty(len(self.order), np.int64)
-        rank[self.order] = np.arange(len(self.order))
-        wanted: dict[int, list[int]] = {}
-        for m, (a, b) in enumerate(zip(rank[i], rank[j], strict=True)):
-            wanted.setdefault(int(min(a, b)), []).append(m)
+        rank = Elimination(self.order, self.starts, self.below).rank
+        upper, lower = np.minimum(rank[i], rank[j]), np.maximum(rank[i], rank[j])
+        wanted = np.argsort(upper, kind="stable")
         out = np.empty((len(i), SIZE, SIZE))
-        for k, rows, Z in self._inverse_fronts():
-            for m in wanted.get(k, ()):
-                a, b = int(rank[i[m]]), int(rank[j[m]])
-                at = 0 if a == b else 1 + int(np.searchsorted(rows, max(a, b)))
-                block = Z[at * SIZE : (at + 1) * SIZE, :SIZE]
-                out[m] = block.T if a < b else block
+        for first, end, rows, Z in self._inverse_fronts():
+            part = wanted[slice(*np.searchsorted(upper[wanted], [first, end]))]
+            if len(part):
+                members = np.r_[first:end, rows]
+                blocks = Z.reshape(len(members), SIZE, len(members), SIZE)
+                out[part] = blocks[np.searchsorted(members, lower[part]), :, upper[part] - first, :]
+        swapped = rank[i] < rank[j]
+        out[swapped] = np.swapaxes(out[swapped], 1, 2)
         return out * self.scale[i][:, :, None] * self.scale[j][:, None, :]
 
-    def _inverse_fronts(self) -> Iterator[tuple[int, Indices, Array]]:
-        """Yield k, rows below it and the scaled inverse (6 (1 + r), 6 (1 + r)) at k and these rows, last k first."""
-        n = len(self.order)
-        inner = self.starts[:-1] < self.starts[1:]
-        children = np.bincount(self.below[self.starts[:-1][inner]], minlength=n)
-        fronts: dict[int, Array] = {}
-        for k in range(n - 1, -1, -1):
-            (rows, column), root = self.column(k), np.linalg.inv(self.diagonal[k])
-            Z = np.empty((SIZE * (1 + len(rows)),) * 2)
-            Z[:SIZE, :SIZE] = root.T @ root
+    def _fronts(self) -> Iterator[tuple[int, int, Indices, Array, Array]]:
+        """Yield per supernode its first column and their end, the rows below, and L's blocks of both, dense."""
+        begins = supernodes(self.starts, self.below)
+        for first, end in zip(begins[:-1].tolist(), begins[1:].tolist(), strict=True):
+            rows = self.below[self.starts[end - 1] : self.starts[end]]
+            dense = np.zeros((end - first + len(rows), SIZE, end - first, SIZE))
+            for k in range(first, end):
+                dense[k - first, :, k - first] = self.diagonal[k]
+                dense[k - first + 1 :, :, k - first] = self.columns[self.starts[k] : self.starts[k + 1]]
+            L = dense.reshape(-1, SIZE * (end - first))
+            yield first, end, rows, L[: L.shape[1]], L[L.shape[1] :]
+
+    def _inverse_fronts(self) -> Iterator[tuple[int, int, Indices, Array]]:
+        """Yield per supernode, last first, its columns, the rows below, and the scaled inverse at both."""
+        fronts = list(self._fronts())
+        parents = [int(rows[0]) if len(rows) else -1 for _, _, rows, _, _ in fronts]
+        begins = [first for first, *_ in fronts]
+        above = [int(np.searchsorted(begins, parent, side="right")) - 1 for parent in parents]
+        children = np.bincount([a for a in above if a >= 0], minlength=len(fronts))
+        kept: dict[int, tuple[Indices, Array]] = {}
+        for number in range(len(fronts) - 1, -1, -1):
+            first, end, rows, own, across = fronts[number]
+            root = solve_triangular(own, np.eye(len(own)), lower=True, check_finite=False)
+            Z = np.empty((len(own) + len(across),) * 2)
+            cut = len(own)
+            Z[:cut, :cut] = root.T @ root
             if len(rows):
-                parent = int(rows[0])
-                at = _scalars(np.searchsorted(np.r_[parent, self.column(parent)[0]], rows))
-                beside = fronts[parent][np.ix_(at, at)]
-                W = column @ root
-                across = -beside @ W
-                Z[:SIZE, :SIZE] -= W.T @ across
-                Z[SIZE:, :SIZE], Z[:SIZE, SIZE:], Z[SIZE:, SIZE:] = across, across.T, beside
-                children[parent] -= 1
-                if not children[parent]:
-                    del fronts[parent]
-            if children[k]:
-                fronts[k] = Z
-            yield k, rows, Z
+                members, beside = kept[above[number]]
+                at = scalars(np.searchsorted(members, rows))
+                Z[cut:, cut:] = beside[np.ix_(at, at)]
+                W = across @ root
+                Z[cut:, :cut] = -Z[cut:, cut:] @ W
+                Z[:cut, cut:] = Z[cut:, :cut].T
+                Z[:cut, :cut] -= W.T @ Z[cut:, :cut]
+                children[above[number]] -= 1
+                if not children[above[number]]:
+                    del kept[above[number]]
+            if children[number]:
+                kept[number] = np.r_[first:end, rows], Z
+            yield first, end, rows, Z
 
 
-def factor(n: int, i: Indices, j: Indices, blocks: Array) -> BlockCholesky:
+def factor(n: int, i: Indices, j: Indices, blocks: Array, pattern: Elimination | None = None) -> BlockCholesky:
     """Return the factor of N, n blocks square: the sum of `blocks` (m, 6, 6) at (i, j), and transposed at (j, i).
+
+    `pattern` is what `eliminate` says of the same n, i and j, if that is known.
 
     Raises
     ------
@@ -125,68 +139,52 @@ def factor(n: int, i: Indices, j: Indices, blocks: Array) -> BlockCholesky:
     if not (sizes > 0).all():
         raise np.linalg.LinAlgError("an unknown is held by nothing")
     scale = 1 / np.sqrt(sizes)
-    order, below = _eliminate(n, i[~same], j[~same])
-    rank = np.empty(n, np.int64)
-    rank[order] = np.arange(n)
-    scaled = blocks * scale[i][:, :, None] * scale[j][:, None, :]
-    beside: list[list[tuple[int, Array]]] = [[] for _ in range(n)]
-    for a, b, block in zip(rank[i[~same]], rank[j[~same]], scaled[~same], strict=True):
-        beside[min(a, b)].append((int(max(a, b)), block if a > b else block.T))
+    pattern = pattern or eliminate(n, i[~same], j[~same])
+    scaled = (blocks * scale[i][:, :, None] * scale[j][:, None, :])[~same]
+    a, b = pattern.rank[i[~same]], pattern.rank[j[~same]]
+    scaled[a < b] = np.swapaxes(scaled[a < b], 1, 2)
+    # Several relations may tie the same two.
+    place, number = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_inverse=True)
+    beside = np.zeros((len(place), SIZE, SIZE))
+    np.add.at(beside, number, scaled)
+    upper, lower = np.divmod(place, n)
     diagonal *= scale[:, :, None] * scale[:, None, :]
-    roots, columns = _factor_fronts(diagonal[order], below, beside)
-    starts = np.concatenate([[0], np.cumsum([len(rows) for rows in below])]).astype(np.int64)
-    rows = np.concatenate([np.empty(0, np.int64), *below])
-    return BlockCholesky(order, starts, rows, roots, np.concatenate(columns).reshape(-1, SIZE, SIZE), scale)
+    roots, columns = _factor_fronts(diagonal[pattern.order], pattern, upper, lower, beside)
+    return BlockCholesky(pattern.order, pattern.starts, pattern.below, roots, columns, scale)
 
 
 def _factor_fronts(
-    diagonal: Array, below: tuple[Indices, ...], beside: Sequence[Sequence[tuple[int, Array]]]
-) -> tuple[Array, tuple[Array, ...]]:
-    roots, columns = np.empty_like(diagonal), []
+    diagonal: Array, pattern: Elimination, upper: Indices, lower: Indices, blocks: Array
+) -> tuple[Array, Array]:
+    """Return L's blocks on the diagonal and below it; `blocks` stand in rows `lower` of columns `upper`, rising."""
+    roots, columns = np.empty_like(diagonal), np.empty((len(pattern.below), SIZE, SIZE))
+    begins = supernodes(pattern.starts, pattern.below)
     updates: dict[int, list[tuple[Indices, Array]]] = {}
-    for k, rows in enumerate(below):
-        here = np.r_[k, rows]
-        F = np.zeros((SIZE * len(here),) * 2)
-        F[:SIZE, :SIZE] = diagonal[k]
-        for row, block in beside[k]:
-            at = SIZE * (1 + int(np.searchsorted(rows, row)))
-            F[at : at + SIZE, :SIZE] += block
-        for their_rows, U in updates.pop(k, ()):
-            inside = _scalars(np.searchsorted(here, their_rows))
-            F[np.ix_(inside, inside)] += U
-        roots[k] = np.linalg.cholesky(F[:SIZE, :SIZE])
-        column = np.linalg.solve(roots[k], F[SIZE:, :SIZE].T).T
-        columns.append(column)
+    for first, end in zip(begins[:-1].tolist(), begins[1:].tolist(), strict=True):
+        rows = pattern.below[pattern.starts[end - 1] : pattern.starts[end]]
+        members, own = np.r_[first:end, rows], np.arange(end - first)
+        front = np.zeros((len(members), SIZE, len(members), SIZE))
+        front[own, :, own] = diagonal[first:end]
+        part = slice(*np.searchsorted(upper, [first, end]))
+        front[np.searchsorted(members, lower[part]), :, upper[part] - first] = blocks[part]
+        F = front.reshape(SIZE * len(members), -1)
+        for their_rows, U in updates.pop(first, ()):
+            at = scalars(np.searchsorted(members, their_rows))
+            F[np.ix_(at, at)] += U
+        cut = SIZE * len(own)
+        L = F[:, :cut]
+        L[:cut] = np.linalg.cholesky(L[:cut])
+        L[cut:] = solve_triangular(L[:cut], L[cut:].T, lower=True, check_finite=False).T
         if len(rows):
-            updates.setdefault(int(rows[0]), []).append((rows, F[SIZE:, SIZE:] - column @ column.T))
-    return roots, tuple(columns)
+            above = int(begins[np.searchsorted(begins, rows[0], side="right") - 1])
+            updates.setdefault(above, []).append((rows, F[cut:, cut:] - L[cut:] @ L[cut:].T))
+        done = L.reshape(len(members), SIZE, len(own), SIZE)
+        for k in range(first, end):
+            roots[k] = done[k - first, :, k - first]
+            columns[pattern.starts[k] : pattern.starts[k + 1]] = done[k - first + 1 :, :, k - first]
+    return roots, columns
 
 
-def _scalars(blocks: Indices) -> Indices:
+def scalars(blocks: Indices) -> Indices:
+    """Return the numbers of the scalar unknowns of blocks."""
     return np.asarray((SIZE * blocks[:, None] + np.arange(SIZE)).ravel(), np.int64)
-
-
-def _eliminate(n: int, i: Indices, j: Indices) -> tuple[Indices, tuple[Indices, ...]]:
-    """Return the order of least degree (ties: the first unknown) and, per column of L, its rows in that order."""
-    beside: list[set[int]] = [set() for _ in range(n)]
-    for a, b in zip(i.tolist(), j.tolist(), strict=True):
-        beside[a].add(b)
-        beside[b].add(a)
-    queue = [(len(item), v) for v, item in enumerate(beside)]
-    heapq.heapify(queue)
-    order: list[int] = []
-    reached: list[list[int]] = []
-    rank = np.full(n, -1, np.int64)
-    while queue:
-        degree, v = heapq.heappop(queue)
-        if rank[v] >= 0 or degree != len(beside[v]):
-            continue
-        rank[v] = len(order)
-        order.append(v)
-        reached.append(sorted(beside[v]))
-        for u in beside[v]:
-            beside[u] |= beside[v]
-            beside[u] -= {u, v}
-            heapq.heappush(queue, (len(beside[u]), u))
-    below = tuple(np.sort(rank[np.asarray(rows, np.int64)]) for rows in reached)
-    return np.asarray(order, np.int64), below

@@ -90,32 +90,59 @@ def fundamental_loops(graph: Graph, tree: Sequence[tuple[str, str]]) -> list[lis
     return loops
 
 
-def walk_error(walk: Sequence[Step], point: Array) -> tuple[Array, Array, Array]:
-    """Return the transform T_start_end of a walk, and covariance (6, 6) and modes (6, k) of its error about `point`.
+@dataclass(frozen=True)
+class Chain:
+    """Pairs one after the other.
 
-    `point` (3,) is given in the frame where the walk starts [mm]; each pair's error is carried there by the adjoint.
+    `T_start_end` (4, 4) is what they say together; covariance (6, 6) and modes (6, k) of its error are about the origin
+    of the frame where the chain starts.
     """
-    shifts = common_shifts([step.pair.calibration_shifts for step in walk])
-    T, covariance, modes = np.eye(4), np.zeros((6, 6)), np.zeros((6, shifts.shape[2]))
-    for step, shift in zip(walk, shifts, strict=True):
-        after = T @ step.T_here_there
-        T_start_a = T if step.forward else after
+
+    T_start_end: Array
+    covariance: Array
+    modes: Array
+
+    @classmethod
+    def empty(cls, modes: int) -> Chain:
+        """Return the chain of no pair, with so many modes of the rigs."""
+        return cls(np.eye(4), np.zeros((6, 6)), np.zeros((6, modes)))
+
+    def then(self, step: Step, shift: Array) -> Chain:
+        """Return the chain with one more pair; its error is carried to the start by the adjoint.
+
+        `shift` (6, k) is what each mode does to the pair.
+        """
+        after = self.T_start_end @ step.T_here_there
+        T_start_a = self.T_start_end if step.forward else after
         p, C = step.pair.covariance_point_mm, step.pair.covariance_noise
         assert p is not None
         assert C is not None
-        carry = adjoint(translation(-point) @ T_start_a @ translation(p))
-        covariance += carry @ C @ carry.T
-        modes += (1.0 if step.forward else -1.0) * carry @ shift
-        T = after
-    return T, covariance, modes
+        carry = adjoint(T_start_a @ translation(p))
+        sign = 1.0 if step.forward else -1.0
+        return Chain(after, self.covariance + carry @ C @ carry.T, self.modes + sign * carry @ shift)
+
+    def error_about(self, point: Array) -> tuple[Array, Array]:
+        """Return covariance (6, 6) and modes (6, k) about a point (3,) in the frame of the start [mm]."""
+        carry = adjoint(translation(-point))
+        return carry @ self.covariance @ carry.T, carry @ self.modes
+
+
+def chain_of(walk: Sequence[Step]) -> Chain:
+    """Return the chain of all pairs of a walk."""
+    shifts = common_shifts([step.pair.calibration_shifts for step in walk])
+    chain = Chain.empty(shifts.shape[2])
+    for step, shift in zip(walk, shifts, strict=True):
+        chain = chain.then(step, shift)
+    return chain
 
 
 def close(loop: Sequence[Step], residuals: Mapping[tuple[str, str], float]) -> Loop:
     """Return how well a loop closes; `residuals` [mm] is what the adjustment leaves in each pair."""
     closing = loop[-1].pair
     assert closing.covariance_point_mm is not None
-    T, covariance, modes = walk_error(loop, closing.covariance_point_mm)
-    xi = difference(T, np.eye(4), closing.covariance_point_mm)
+    chain = chain_of(loop)
+    covariance, modes = chain.error_about(closing.covariance_point_mm)
+    xi = difference(chain.T_start_end, np.eye(4), closing.covariance_point_mm)
     total = covariance + modes @ modes.T
     names = [step.pair.a if step.forward else step.pair.b for step in loop]
     return Loop(
@@ -137,13 +164,12 @@ def residual_mm(pair: PairResult, T_world: Mapping[str, Array]) -> float:
 
 
 def chain_drift(
-    walk: Sequence[Step], name: str, reference: str, T_world: Mapping[str, Array], centroid: Array
+    chain: Chain, name: str, reference: str, T_world: Mapping[str, Array], centroid: Array
 ) -> tuple[float, float]:
     """Return how far a chain from the reference puts a centroid from its adjusted place, and its sigma [mm]."""
     adjusted = invert(T_world[reference]) @ T_world[name]
     point = np.asarray(transform_points(adjusted, np.asarray(centroid, float)))
-    if not walk:
-        return 0.0, 0.0
-    T, covariance, modes = walk_error(walk, point)
+    covariance, modes = chain.error_about(point)
     total = covariance + modes @ modes.T
-    return float(np.linalg.norm(difference(T, adjusted, point)[3:])), float(np.sqrt(np.trace(total[3:, 3:])))
+    drift = float(np.linalg.norm(difference(chain.T_start_end, adjusted, point)[3:]))
+    return drift, float(np.sqrt(np.trace(total[3:, 3:])))

@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from planish.geometry import Array
-from planish.registration.network.adjust import Adjusted, NetworkOptions
+from planish.registration.network.adjust import Adjusted, NetworkOptions, common_shifts
 from planish.registration.network.anchor import Anchored
 from planish.registration.network.contradictions import Contradiction
 from planish.registration.network.given import Given
 from planish.registration.network.groups import spanning_tree
 from planish.registration.network.loops import (
+    Chain,
     Graph,
     Step,
     chain_drift,
@@ -126,19 +127,22 @@ def _places(
     adjusted: Adjusted,
     centroids: Mapping[str, Array],
 ) -> tuple[Place, ...]:
-    walks: dict[str, list[Step]] = {}
+    edges = [pair for pair in tree.values() if pair is not None]
+    shifts = common_shifts([pair.calibration_shifts for pair in edges])
+    shift_of = {(pair.a, pair.b): shift for pair, shift in zip(edges, shifts, strict=True)}
+    chains: dict[str, tuple[int, Chain]] = {}
     out = []
     for name, pair in tree.items():
-        walks[name] = []
+        count, chain = 0, Chain.empty(shifts.shape[2])
         if pair is not None:
-            before = pair.a if pair.b == name else pair.b
-            walks[name] = [*walks[before], Step(pair, pair.b == name)]
-        drift, sigma = chain_drift(walks[name], name, reference, adjusted.T_world_measurement, centroids[name])
+            count, chain = chains[pair.a if pair.b == name else pair.b]
+            count, chain = count + 1, chain.then(Step(pair, pair.b == name), shift_of[pair.a, pair.b])
+        chains[name] = count, chain
+        drift, sigma = chain_drift(chain, name, reference, adjusted.T_world_measurement, centroids[name])
         C = adjusted.covariance[name]
         if adjusted.calibration is not None:
             C = C + adjusted.calibration[name].T @ adjusted.calibration[name]
         own = float(np.sqrt(max(0.0, np.trace(C[3:, 3:]))))
-        count = len(walks[name])
         out.append(Place(name=name, pairs_from_reference=count, chain_mm=drift, chain_sigma_mm=sigma, sigma_mm=own))
     return tuple(sorted(out, key=lambda place: place.name))
 
