@@ -71,6 +71,7 @@ class StoredMaps(RefinementMaps):
         self.path = path
 
     def get(self) -> tuple[Sides, Sides]:
+        """Return the maps, read anew."""
         return pickle.loads(self.path.read_bytes())
 
 
