@@ -11,6 +11,7 @@ resolution has 5000.
 
 from __future__ import annotations
 
+import argparse
 import resource
 import time
 from collections.abc import Iterator, Mapping
@@ -137,6 +138,7 @@ def drawn() -> None:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     print(f"nearest descriptors of two neighbours that are right: {right_neighbours():.0f} %")
     drawn()
 

@@ -22,16 +22,16 @@ from typing import Any
 
 import numpy as np
 
-from cells import Rows, cell_arguments, run_cells
-from coarse_parts import Case, Part, describe_case, draw_part, measure_part, true_transform
-from coarse_sift import register_plain_sift, sift_keypoints
-from coarse_tables import FOLDER, save_tables
+from coarse_pairs.parts import Case, Part, describe_case, draw_part, measure_part, true_transform
+from coarse_pairs.sift import register_plain_sift, sift_keypoints
+from coarse_pairs.tables import FOLDER, save_tables
 from planish.evaluation.prepared import Prepared as Evaluated
 from planish.evaluation.truth import true_overlap
 from planish.geometry import Array, transform_points
 from planish.measurement import Measurement
 from planish.pipeline import prepare_run
 from planish.registration.pair import register_pair
+from shared.cells import Rows, cell_arguments, run_cells
 
 #: Pairs per part on average: what the plan gives.
 PAIRS_PER_PART = 14
@@ -115,7 +115,7 @@ def _plain_sift(
 
 def _peers(a: Measurement, b: Measurement, T: Array, points: Array, python: str) -> dict[str, Any]:
     clouds = {name: m.points_sensor[m.valid] for name, m in (("a", a), ("b", b))}
-    script = Path(__file__).with_name("coarse_peers.py")
+    script = Path(__file__).parent / "coarse_pairs" / "peers.py"
     with tempfile.TemporaryDirectory() as folder:
         files = [str(Path(folder) / name) for name in ("pair.npz", "peers.json")]
         np.savez(files[0], **clouds)

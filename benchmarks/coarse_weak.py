@@ -17,9 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from cells import Rows, cell_arguments, read_rows, run_cells
 from coarse import error_mm
-from coarse_parts import (
+from coarse_pairs.parts import (
     CLOSER_MM,
     MAX_TILT_DEG,
     PLAN_ERROR,
@@ -32,7 +31,7 @@ from coarse_parts import (
     seen_overlap,
     true_transform,
 )
-from coarse_tables import RIGHT_MM
+from coarse_pairs.tables import RIGHT_MM
 from planish.evaluation.prepared import Prepared as Evaluated
 from planish.evaluation.truth import error_rms, true_overlap
 from planish.measurement import Measurement
@@ -40,6 +39,7 @@ from planish.pipeline import prepare_run
 from planish.registration.pair import register_pair
 from planish.simulation.scenes import make_scene
 from render_tables import save_table
+from shared.cells import Rows, cell_arguments, read_rows, run_cells
 
 FOLDER = "coarse-weak"
 SURFACES, GRAINS = ("plate", "cylinder"), (0.01, 0.005, 0.0025, 0.00125)

@@ -26,11 +26,14 @@ from planish.sensing.capture.sequence import read_layouts
 from planish.sensing.decode import DecodeOptions, decode
 from planish.sensing.noise.estimate import estimate_noise
 from planish.sensing.observe import observe
-from planish.sensing.patterns.sequences import REFERENCE_PERIODS_PX, REFERENCE_STEPS, encode, reference_sequence
+from planish.sensing.patterns.encode import encode
+from planish.sensing.patterns.sequences import REFERENCE_PERIODS_PX, reference_sequence
 from render_tables import save_table
 
 HEIGHT, WIDTH = 1038, 1388
 STACKS = 4
+#: Phase steps of each period of the reference sequence.
+STEPS = 4
 OFFSET, AMPLITUDE, NOISE = 20.0, 160.0, (1.44, 0.025)
 
 Times = tuple[float, float]
@@ -64,7 +67,7 @@ def numpy_floor(images: Sequence[np.ndarray]) -> np.ndarray:
     """Positions by whole-array NumPy: no saturation, no limits, no noise model."""
     position = np.full((HEIGHT, WIDTH), 0.5 * REFERENCE_PERIODS_PX[0], np.float32)
     for k, period in enumerate(REFERENCE_PERIODS_PX):
-        i0, i1, i2, i3 = (image.astype(np.float32) for image in images[REFERENCE_STEPS * k : REFERENCE_STEPS * (k + 1)])
+        i0, i1, i2, i3 = (image.astype(np.float32) for image in images[STEPS * k : STEPS * (k + 1)])
         c, s = i0 - i2, i1 - i3
         x = np.arctan2(s, c) * np.float32(period / (2 * np.pi))
         position = x + np.float32(period) * np.rint((position - x) / np.float32(period))
@@ -79,7 +82,7 @@ def fringes_times(runs: int) -> Times | None:
     except ImportError:
         return None
     other = Fringes()
-    other.X, other.Y, other.D, other.N = WIDTH, HEIGHT, 1, REFERENCE_STEPS
+    other.X, other.Y, other.D, other.N = WIDTH, HEIGHT, 1, STEPS
     other.l = [WIDTH, WIDTH / 8, WIDTH / 64]
     stack = other.encode()
     return timed(other.decode, [stack.copy() for _ in range(STACKS)], runs)

@@ -25,7 +25,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from described import DETECTORS, Found, mutual_matches
 from planish.geometry import Array, exp_so3, invert, transform_points
 from planish.measurement import Measurement
 from planish.pipeline import measure
@@ -41,6 +40,7 @@ from planish.simulation.scenes import Scene, make_scene
 from planish.simulation.texture import Grain
 from planish.simulation.writing import write_scene
 from render_tables import save_table
+from shared.described import DETECTORS, Found, mutual_matches
 
 #: Correlation length of the isotropic grain [mm].
 ISOTROPIC_MM = 0.4

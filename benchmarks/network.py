@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from networks import Truth, draw_pairs, misplaced, panel, ring, shift, unused
+from networks.drawn import Truth, draw_pairs, misplaced, panel, ring, shift, unused
 from planish.geometry import invert
 from planish.registration.network.build import build_network
 from planish.registration.result import Registration

@@ -21,10 +21,9 @@ from itertools import combinations
 import cv2
 import numpy as np
 
-from cells import Rows, cell_arguments, read_rows, run_cells
 from coarse import error_mm
-from coarse_parts import HALF_SAMPLES
-from coarse_tables import RIGHT_MM
+from coarse_pairs.parts import HALF_SAMPLES
+from coarse_pairs.tables import RIGHT_MM
 from planish.geometry import Array, fit_rigid, invert, transform_points
 from planish.measurement import Measurement
 from planish.pipeline import measure, prepare_run
@@ -35,7 +34,8 @@ from planish.simulation.scenes import Background, Scene, make_scene, place_senso
 from planish.simulation.surfaces import Plate
 from planish.simulation.texture import BLANK
 from render_tables import ROOT, save_table
-from rendered import measure_scene
+from shared.cells import Rows, cell_arguments, read_rows, run_cells
+from shared.rendered import measure_scene
 
 FOLDER = "not-texture"
 #: Captures per cell: 11 make 55 pairs.

@@ -32,8 +32,8 @@ from planish.registration.texture.photometric import local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
 from planish.simulation.scenes import make_scene
 from render_tables import save_table
-from rendered import measure_scene
-from timing import timed
+from shared.rendered import measure_scene
+from shared.timing import timed
 
 KEYPOINTS, DENSITY = 5000, 2.0
 #: Grey levels per robust deviation of the texture, and SIFT's contrast threshold, with which it finds most.

@@ -20,9 +20,9 @@ from planish.geometry import difference, invert, transform_points
 from planish.measurement import Measurement, View, rejection_bit
 from planish.pipeline import MeasureOptions, measure, register
 from planish.sensing.capture.manifest import Capture
-from real_steel_halves import halves_table, stated_rig
-from real_steel_sources import sources_table
 from render_tables import ROOT, save_table
+from steel.halves import halves_table, stated_rig
+from steel.sources import sources_table
 
 DATA = ROOT.parent / "shared" / "data" / "steel_corner_shiftline"
 MANIFEST = ROOT / "tests" / "real" / "steel_corner_shiftline" / "capture.json"

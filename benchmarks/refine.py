@@ -16,15 +16,11 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-import refine_accuracy
-import refine_beside
-import refine_covariance
-import refine_failures
-import refine_scenes
-from cells import cell_arguments, run_cells
 from coarse import FIRST_FULL
-from refine_pairs import KINDS
-from refine_tables import FOLDER, save_tables
+from refined_pairs import accuracy, beside, covariance, failures, scenes
+from refined_pairs.pairs import KINDS
+from refined_pairs.tables import FOLDER, save_tables
+from shared.cells import cell_arguments, run_cells
 
 #: One surface each, for the covariance; and a texture that is weak against its noise.
 COVARIANCE_KINDS = ("plate_3", "plate_0.5", "cylinder_3", "door_3", "waves_3", "pipe_3")
@@ -47,7 +43,7 @@ def scenes_cells(arguments: argparse.Namespace) -> Cells:
 
 def covariance_cells(arguments: argparse.Namespace) -> Cells:
     """Return one cell per few pairs of a scene and noise."""
-    blocks = -(-arguments.pairs // refine_covariance.PAIRS_PER_CELL)
+    blocks = -(-arguments.pairs // covariance.PAIRS_PER_CELL)
     return {
         f"covariance_{kind}_{arguments.scale:g}_{noise:g}_{block:03d}": (kind, noise, arguments.scale, block)
         for block in range(blocks)
@@ -86,16 +82,16 @@ def main() -> None:
     arguments = parse()
     again, workers = arguments.again, arguments.workers
     if arguments.study == "accuracy":
-        run_cells(FOLDER, accuracy_cells(arguments), refine_accuracy.run_part, workers, again)
+        run_cells(FOLDER, accuracy_cells(arguments), accuracy.run_part, workers, again)
     elif arguments.study == "scenes":
-        run_cells(FOLDER, scenes_cells(arguments), refine_scenes.run_pair, workers, again)
+        run_cells(FOLDER, scenes_cells(arguments), scenes.run_pair, workers, again)
     elif arguments.study == "covariance":
-        run_cells(FOLDER, covariance_cells(arguments), refine_covariance.run_pairs, workers, again)
+        run_cells(FOLDER, covariance_cells(arguments), covariance.run_pairs, workers, again)
     elif arguments.study == "failures":
-        run_cells(FOLDER, failures_cells(arguments), refine_failures.run_pair, workers, again)
+        run_cells(FOLDER, failures_cells(arguments), failures.run_pair, workers, again)
     elif arguments.study == "beside":
         # One after the other, so that the times are those of a machine that does nothing else.
-        run_cells(FOLDER, beside_cells(arguments), refine_beside.run_pair, 1, again)
+        run_cells(FOLDER, beside_cells(arguments), beside.run_pair, 1, again)
     save_tables()
 
 

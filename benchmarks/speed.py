@@ -30,7 +30,7 @@ from planish.simulation.render import render_capture
 from planish.simulation.scenes import make_scene
 from planish.simulation.writing import write_scene
 from render_tables import save_table
-from timing import timed
+from shared.timing import timed
 
 
 @dataclass

@@ -23,14 +23,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta
 
-from cells import Rows, cell_arguments, read_rows, run_cells
-from coarse_parts import HALF_SAMPLES, SURFACES, Seen, Stand, seen_overlap
-from coarse_tables import cases as coarse_cases
+from coarse_pairs.parts import HALF_SAMPLES, SURFACES, Seen, Stand, seen_overlap
+from coarse_pairs.tables import cases as coarse_cases
 from planish.pipeline import RegisterOptions, prepare_run
 from planish.registration.pair import Prepared, RefinementMaps, Sides, register_pair
 from planish.simulation.scenes import Scene, make_scene
 from render_tables import save_table
-from rendered import measure_scene
+from shared.cells import Rows, cell_arguments, read_rows, run_cells
+from shared.rendered import measure_scene
 
 FOLDER = "strangers"
 #: Captures that are prepared as one run, and registered against another such block in one cell.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from networks import draw_pairs, misplaced, panel, shift, unused
+from networks.drawn import draw_pairs, misplaced, panel, shift, unused
 from planish.geometry import compose, difference, exp_se3, exp_so3, invert, perturb, transform_points
 from planish.registration.network.build import build_network
 from planish.registration.network.given import Given, RobotTransform, Target

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from networks import FIELD, SIGMA, draw_pairs, misplaced, panel, ring, shift, unused
+from networks.drawn import FIELD, SIGMA, draw_pairs, misplaced, panel, ring, shift, unused
 from planish.geometry import adjoint, difference, exp_se3, invert, log_se3, perturb, transform_points, translation
 from planish.registration.network.adjust import NetworkOptions, adjust
 from planish.registration.network.batch import adjoints, exponentials, inverses, logarithms

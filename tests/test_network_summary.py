@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from networks import draw_pairs, panel, ring, shift
+from networks.drawn import draw_pairs, panel, ring, shift
 from planish.geometry import invert, perturb, transform_points
 from planish.registration.network.adjust import adjust
 from planish.registration.network.build import build_network

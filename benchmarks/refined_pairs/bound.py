@@ -32,7 +32,7 @@ import cv2
 import numpy as np
 
 from planish.geometry import Array, invert, transform_points
-from refine_true_view import Map, Mask, TrueView
+from refined_pairs.true_view import Map, Mask, TrueView
 
 #: Standard deviation [mm] of the smooth field that shading may be: planish's own low-pass.
 SHADING_MM = 2.5

@@ -22,7 +22,7 @@ from planish.rig import Rig
 from planish.simulation.light import Lamp
 from planish.simulation.scenes import Scene, make_scene, place_sensor
 from planish.simulation.surfaces import Surface
-from rendered import measure_scene
+from shared.rendered import measure_scene
 
 SURFACES = ("door", "plate", "cylinder", "pipe", "waves")
 CAPTURES = 6

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from coarse_parts import Case, Part, plan
+from coarse_pairs.parts import Case, Part, plan
 from planish.simulation.scenes import Scene
 
 

@@ -23,8 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from cells import Rows, read_cells, run_cells
-from networks_rendered import FIELD_MM, OVERLAP
+from networks.rendered import FIELD_MM, OVERLAP
 from planish.execution.executor import Threads
 from planish.geometry import Array, invert, transform_points
 from planish.pipeline import register_files
@@ -34,7 +33,8 @@ from planish.simulation.scenes import Scene, make_scene, place_sensor
 from planish.simulation.surfaces import Cylinder
 from planish.simulation.texture import Grain, Texture
 from render_tables import save_table
-from rendered import measure_scene
+from shared.cells import Rows, read_cells, run_cells
+from shared.rendered import measure_scene
 
 FOLDER = "network-whole"
 #: Columns and rows of the parts of the panel by their number of measurements.

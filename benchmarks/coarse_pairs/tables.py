@@ -6,9 +6,9 @@ from collections.abc import Callable
 from statistics import median
 from typing import Any
 
-from cells import Rows, read_rows
-from coarse_parts import OVERLAPS, SURFACES
+from coarse_pairs.parts import OVERLAPS, SURFACES
 from render_tables import save_table
+from shared.cells import Rows, read_rows
 
 FOLDER = "coarse"
 #: A transform is right if it moves the overlap by less than this, root mean square [mm].

@@ -19,7 +19,7 @@ from planish.registration.result import PlacedMeasurement, Registration
 from planish.simulation.scenes import Scene, make_scene, place_sensor
 from planish.simulation.surfaces import Cylinder
 from render_tables import save_table
-from rendered import measure_scene
+from shared.rendered import measure_scene
 
 #: A gently bent panel, 2.46 m along the bend and 1.22 m across: neither geometry nor edges hold it.
 PANEL = Cylinder(half_s=1230.0, half_t=610.0, radius=4000.0)

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from cells import Rows
-from coarse_parts import measure_part
+from coarse_pairs.parts import measure_part
 from planish.geometry import Array, perturb
 from planish.registration.pair import kept_out_agreement, refine_pair, residual_statistics
 from planish.registration.refine.covariance import noise_covariance
@@ -19,8 +18,9 @@ from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.geometry import Sight
 from planish.registration.verdict.hypothesis import Drift, Hypothesis, as_hypothesis
 from planish.registration.verdict.judge import judge_refined
-from refine_pairs import draw_pair
-from refine_run import KnownPair, known_pairs
+from refined_pairs.pairs import draw_pair
+from refined_pairs.run import KnownPair, known_pairs
+from shared.cells import Rows
 
 #: Starts: shifts [mm], each in several random directions along the surface.
 SHIFTS_MM, DIRECTIONS = (1.0, 2.0, 3.0, 4.0, 6.0), 2

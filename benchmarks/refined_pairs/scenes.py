@@ -1,7 +1,7 @@
 """Efficiency and convergence of the refinement, scene by scene: independent pairs with 40 to 60 % overlap, exact rig.
 
-The least possible errors come from the simulation (`refine_bound.py`). From the outset: the transform that the whole
-registration finds counts as the solution; another start has converged if it leads there.
+The least possible errors come from the simulation (`refined_pairs/bound.py`). From the outset: the transform that the
+whole registration finds counts as the solution; another start has converged if it leads there.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from cells import Rows
-from coarse_parts import measure_part
+from coarse_pairs.parts import measure_part
 from planish.geometry import difference, transform_points
-from refine_bound import pair_bound
-from refine_pairs import KINDS, draw_pair
-from refine_run import KnownPair, known_pairs, moved
-from refine_true_view import true_view
+from refined_pairs.bound import pair_bound
+from refined_pairs.pairs import KINDS, draw_pair
+from refined_pairs.run import KnownPair, known_pairs, moved
+from refined_pairs.true_view import true_view
+from shared.cells import Rows
 
 #: Starts: shift [mm] and turn [deg] about the overlap's centroid, for strong grain and for less.
 START, NEAR_START, STRONG_GRAIN = (3.0, 0.5), (1.0, 0.5), 0.01

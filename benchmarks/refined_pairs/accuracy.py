@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from cells import Rows
-from coarse_parts import describe_case, draw_part, measure_part
-from refine_run import known_pairs
+from coarse_pairs.parts import describe_case, draw_part, measure_part
+from refined_pairs.run import known_pairs
+from shared.cells import Rows
 
 #: Least overlap of a case.
 OVERLAP = 0.3

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from cells import Rows, read_rows
-from coarse_parts import SURFACES
+from coarse_pairs.parts import SURFACES
 from render_tables import save_table
+from shared.cells import Rows, read_rows
 
 FOLDER = "refine"
 #: Textures by their grain: name and least.

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from networks_grown import coarse_scene, stand
-from networks_rendered import OVERLAP, centroid_error, grid
+from networks.grown import coarse_scene, stand
+from networks.rendered import OVERLAP, centroid_error, grid
 from planish.execution.executor import Threads
 from planish.files.given import GivenFiles
 from planish.geometry import Array, compose, exp_so3, invert, perturb
@@ -27,7 +27,7 @@ from planish.registration.result import PairResult, Registration
 from planish.simulation.scenes import Scene
 from planish.simulation.surfaces import Cylinder, Door
 from render_tables import save_table
-from rendered import measure_scene
+from shared.rendered import measure_scene
 
 #: A gently bent panel of 1.4 m x 1 m.
 PANEL = Cylinder(half_s=700.0, half_t=500.0, radius=4000.0)

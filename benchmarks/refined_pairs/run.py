@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from coarse_parts import Case, Part, true_transform
+from coarse_pairs.parts import Case, Part, true_transform
 from planish.evaluation.overlap import OverlapEvaluation, evaluate_overlap
 from planish.evaluation.prepared import Prepared as Evaluated
 from planish.evaluation.truth import error_rms, true_overlap

@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from cells import Rows
-from coarse_parts import true_transform
+from coarse_pairs.parts import true_transform
 from planish.errors import InputError
 from planish.geometry import Array, difference
 from planish.registration.result import PairResult
 from planish.simulation.rigs import draw_rig
-from refine_pairs import draw_pair, with_noise
-from refine_run import known_pair
+from refined_pairs.pairs import draw_pair, with_noise
+from refined_pairs.run import known_pair
 from render_tables import ROOT
-from rendered import measure_rendered, render_scene
+from shared.cells import Rows
+from shared.rendered import measure_rendered, render_scene
 
 sys.path.append(str(ROOT / "tests"))
 from calibrated_rig import with_calibration

@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
-from cells import Rows
-from coarse_parts import measure_part, true_transform
+from coarse_pairs.parts import measure_part, true_transform
 from planish.geometry import Array, perturb
 from planish.registration.pair import Prepared
 from planish.registration.tiles import ground_sample_distance
-from refine_pairs import draw_pair
-from refine_run import KnownPair, known_pair
+from refined_pairs.pairs import draw_pair
+from refined_pairs.run import KnownPair, known_pair
+from shared.cells import Rows
 
 #: The start is this far from the truth over the overlap, root mean square [mm].
 START_MM = 0.7
@@ -85,7 +85,7 @@ def run_peers(pair: KnownPair, start: Array, python: str) -> Rows:
         use = side.measurement.valid & np.isfinite(side.contrast[0])
         values[name] = side.measurement.points_sensor[use]
         values[f"contrast_{name}"], values[f"white_{name}"] = (_grey(v[use]) for v in _textures(side))
-    script = Path(__file__).with_name("refine_peers.py")
+    script = Path(__file__).with_name("peers.py")
     with tempfile.TemporaryDirectory() as folder:
         files = [str(Path(folder) / name) for name in ("pair.npz", "peers.json")]
         np.savez(files[0], **values)

@@ -1,0 +1,1 @@
+"""Networks of measurements: drawn, rendered, with faults, growing."""

@@ -1,0 +1,1 @@
+"""What all benchmarks share: cells of long statistics, captures from memory, timing."""

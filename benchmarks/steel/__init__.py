@@ -1,0 +1,1 @@
+"""What real steel says beyond one registration."""
