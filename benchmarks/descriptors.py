@@ -30,7 +30,7 @@ from planish.measurement import Measurement
 from planish.pipeline import measure
 from planish.registration.consensus import ConsensusOptions, count_places
 from planish.registration.keypoints.detect import KeypointOptions
-from planish.registration.pair import common_gsd, common_pitch, length_factor
+from planish.registration.scales import common_gsd, common_pitch, length_factor
 from planish.registration.surface import fit_surface
 from planish.registration.texture.fixed_pattern import estimate_fixed_patterns
 from planish.registration.texture.photometric import local_contrast

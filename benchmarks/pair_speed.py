@@ -26,7 +26,9 @@ from planish.registration.consensus import find_consensus
 from planish.registration.keypoints.detect import detect_keypoints
 from planish.registration.match.matching import match
 from planish.registration.match.patches import PatchSide
-from planish.registration.pair import common_gsd, common_pitch, length_factor, prepare, register_pair
+from planish.registration.pair import register_pair
+from planish.registration.prepared import prepare
+from planish.registration.scales import common_gsd, common_pitch, length_factor
 from planish.registration.surface import fit_surface
 from planish.registration.texture.photometric import local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images

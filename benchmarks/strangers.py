@@ -26,7 +26,8 @@ from scipy.stats import beta
 from coarse_pairs.parts import HALF_SAMPLES, SURFACES, Seen, Stand, seen_overlap
 from coarse_pairs.tables import cases as coarse_cases
 from planish.pipeline import RegisterOptions, prepare_run
-from planish.registration.pair import Prepared, RefinementMaps, Sides, register_pair
+from planish.registration.pair import register_pair
+from planish.registration.prepared import Prepared, RefinementMaps, Sides
 from planish.simulation.scenes import Scene, make_scene
 from render_tables import save_table
 from shared.cells import Rows, cell_arguments, read_rows, run_cells

@@ -10,7 +10,10 @@ import numpy as np
 
 import synthetic
 from planish.geometry import exp_se3
-from planish.registration.pair import PairOptions, common_gsd, common_pitch, length_factor, prepare, register_pair
+from planish.registration.options import PairOptions
+from planish.registration.pair import register_pair
+from planish.registration.prepared import prepare
+from planish.registration.scales import common_gsd, common_pitch, length_factor
 from planish.registration.verdict.aligned import Side
 
 #: 486 x 363 px, 0.93 mm per pixel: windows of 28 mm, some 150 of them.

@@ -12,7 +12,8 @@ import synthetic
 from planish import _core
 from planish.geometry import perturb, transform_points
 from planish.measurement import NoiseModel
-from planish.registration.pair import PairOptions, prepare
+from planish.registration.options import PairOptions
+from planish.registration.prepared import prepare
 
 #: 347 x 260 px: every stage runs in fractions of a second.
 SCALE = 0.25

@@ -10,7 +10,8 @@ from scipy.stats import chi2
 
 import sheets
 from planish.geometry import difference
-from planish.registration.pair import prepare, refine_pair
+from planish.registration.pair import refine_pair
+from planish.registration.prepared import prepare
 from planish.registration.refine.covariance import _gradient_scatter, noise_covariance, observability
 from planish.registration.refine.overlap import overlap_extent
 from planish.registration.refine.sides import joint_sides

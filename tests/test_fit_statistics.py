@@ -10,7 +10,8 @@ import pytest
 
 import sheets
 from planish.geometry import perturb
-from planish.registration.pair import kept_out_agreement, prepare, refine_pair, residual_statistics
+from planish.registration.pair import kept_out_agreement, refine_pair, residual_statistics
+from planish.registration.prepared import prepare
 from planish.registration.refine.covariance import noise_covariance
 from planish.registration.refine.filtering import filter_texture
 from planish.registration.refine.solve import RefineOptions

@@ -13,7 +13,8 @@ import sheets
 from calibrated_rig import with_calibration
 from planish.geometry import compose, difference, exp_so3, perturb
 from planish.pipeline import register
-from planish.registration.pair import Prepared, RefinementMaps, pair_shifts, refine_pair
+from planish.registration.pair import pair_shifts, refine_pair
+from planish.registration.prepared import Prepared, RefinementMaps
 from planish.registration.refine.calibration import calibration_covariance
 from planish.registration.refine.covariance import noise_covariance
 from planish.registration.refine.residuals import Weights, equations, pull

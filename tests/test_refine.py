@@ -9,7 +9,8 @@ import pytest
 
 import sheets
 from planish.geometry import difference, exp_se3, invert, perturb
-from planish.registration.pair import prepare, refine_pair
+from planish.registration.pair import refine_pair
+from planish.registration.prepared import prepare
 from planish.registration.refine.covariance import noise_covariance
 from planish.registration.refine.information import information
 from planish.registration.refine.overlap import overlap_extent

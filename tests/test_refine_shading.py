@@ -10,6 +10,7 @@ import pytest
 import sheets
 from planish.geometry import difference, perturb
 from planish.registration.pair import refine_pair
+from planish.registration.prepared import RefinementMaps
 from planish.registration.refine.covariance import noise_covariance
 from planish.registration.refine.residuals import Weights, equations
 from planish.registration.refine.shading import shading, without_shading
@@ -46,7 +47,8 @@ def dimmed(side: JointSide) -> JointSide:
 
 
 def in_another_light(prepared):
-    return replace(prepared, sides={n: dimmed(side) for n, side in prepared.sides.items()})
+    sides = {n: dimmed(side) for n, side in prepared.sides.items()}
+    return replace(prepared, refinement=RefinementMaps(lambda: (sides, prepared.fit_sides)))
 
 
 def test_the_sums_are_the_derivatives_of_the_gradient_by_gain_and_offset(bent):

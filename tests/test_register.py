@@ -12,7 +12,8 @@ import synthetic
 from planish.errors import InputError
 from planish.geometry import difference, exp_se3, invert
 from planish.pipeline import prepare_run, register
-from planish.registration.pair import RefinementMaps, register_pair
+from planish.registration.pair import register_pair
+from planish.registration.prepared import RefinementMaps
 from planish.rig import Rig
 
 #: 1.3 mm per pixel: a hundredth of a pixel along the surface, far less along the normal.

@@ -13,7 +13,8 @@ import matched
 import sheets
 from planish.geometry import exp_se3, transform_points
 from planish.registration.consensus import Candidate, CoarseResult, Search, find_consensus
-from planish.registration.pair import prepare, refine_pair, residual_statistics
+from planish.registration.pair import refine_pair, residual_statistics
+from planish.registration.prepared import prepare
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.result import Direction
 from planish.registration.texture.photometric import local_contrast

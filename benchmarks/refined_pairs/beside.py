@@ -20,7 +20,7 @@ import numpy as np
 
 from coarse_pairs.parts import measure_part, true_transform
 from planish.geometry import Array, perturb
-from planish.registration.pair import Prepared
+from planish.registration.prepared import Prepared
 from planish.registration.tiles import ground_sample_distance
 from refined_pairs.pairs import draw_pair
 from refined_pairs.run import KnownPair, known_pair

@@ -19,7 +19,9 @@ from planish.evaluation.truth import error_rms, true_overlap
 from planish.geometry import Array, perturb, transform_points
 from planish.measurement import Measurement
 from planish.pipeline import prepare_run
-from planish.registration.pair import PairOptions, Prepared, refine_pair, register_pair
+from planish.registration.options import PairOptions
+from planish.registration.pair import refine_pair, register_pair
+from planish.registration.prepared import Prepared
 from planish.registration.result import PairResult
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from planish.registration.candidates.choose import CandidateOptions
 from planish.registration.network.adjust import NetworkOptions
-from planish.registration.pair import PairOptions
+from planish.registration.options import PairOptions
 
 
 class RegisterOptions(PairOptions):

@@ -22,17 +22,12 @@ from planish.registration.candidates.choose import Pair, choose_pairs, possible_
 from planish.registration.candidates.footprint import Footprint, footprint
 from planish.registration.network.build import Node, build_network
 from planish.registration.network.given import Given
-from planish.registration.pair import (
-    PairOptions,
-    Prepared,
-    common_gsd,
-    common_pitch,
-    length_factor,
-    prepare,
-    register_pair,
-)
+from planish.registration.options import PairOptions
+from planish.registration.pair import register_pair
 from planish.registration.pair_costs import pair_costs
+from planish.registration.prepared import Prepared, prepare
 from planish.registration.result import PairResult, Registration
+from planish.registration.scales import common_gsd, common_pitch, length_factor
 from planish.registration.texture.camera_pattern import FixedPattern
 from planish.registration.texture.fixed_pattern import estimate_fixed_patterns
 

@@ -38,9 +38,9 @@ from planish.pipeline.versions import versions
 from planish.registration.candidates.choose import Pair, choose_pairs, possible_pairs
 from planish.registration.candidates.footprint import Footprint
 from planish.registration.network.build import Node, build_network
-from planish.registration.pair import length_factor, median_gsd, texture_pitch
 from planish.registration.pair_costs import pair_costs
 from planish.registration.result import PairResult, Registration
+from planish.registration.scales import length_factor, median_gsd, texture_pitch
 from planish.registration.texture.fixed_pattern import CAPTURES_PER_SUM
 
 Item = TypeVar("Item")

@@ -27,13 +27,8 @@ from planish.pipeline.options import RegisterOptions
 from planish.registration.candidates.footprint import Footprint, footprint
 from planish.registration.keypoints.detect import detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
-from planish.registration.pair import (
-    Prepared,
-    Textured,
-    draw_texture,
-    prepare_textured,
-    register_pair,
-)
+from planish.registration.pair import register_pair
+from planish.registration.prepared import Prepared, Textured, draw_texture, prepare_textured
 from planish.registration.result import OverlapError, PairResult
 from planish.registration.surface import fit_surface
 from planish.registration.texture.camera_pattern import FixedPattern

@@ -8,7 +8,9 @@ import numpy as np
 
 from planish.geometry import Array, difference
 from planish.registration.network.relinearise import NormalEquations, quadratic
-from planish.registration.pair import PairOptions, Prepared, is_weak, refine_pair
+from planish.registration.options import PairOptions
+from planish.registration.pair import is_weak, refine_pair
+from planish.registration.prepared import Prepared
 from planish.registration.result import PairResult
 
 
