@@ -109,8 +109,9 @@ def _sizes(tile_sizes: Array) -> tuple[Array, Array]:
 
 
 def _common(common: Array, signal: Array, number: Array) -> float:
-    """Weighted median of common / signal, every tile by its signal; 1 where noise alone may be all that is seen."""
-    weight = number * np.maximum(signal, 0)
+    """Median of common / signal over what holds any; 1 where noise alone may be all that is seen."""
+    # Not by the signal: a highlight or a lamp's glare on the smaller part would speak for all.
+    weight = np.where(signal > 0, number, 0)
     # Textures in which most tiles hold no signal say nothing.
     if (number * signal).sum() <= 0:
         return 1.0
