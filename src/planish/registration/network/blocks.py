@@ -26,28 +26,24 @@ class BlockCholesky:
 
     Parameters
     ----------
-    order : ndarray (n,) of int
-        order[k] is the unknown that is eliminated as the k-th.
-    starts, below : ndarray (n + 1,), (r,) of int
-        below[starts[k]:starts[k + 1]] are the rows > k of column k's blocks below the diagonal, rising.
+    pattern : Elimination
+        Order of the unknowns, and where L has its r blocks below the diagonal.
     diagonal : ndarray (n, 6, 6)
         Blocks of L on the diagonal, lower triangles.
     columns : ndarray (r, 6, 6)
-        Blocks of L below the diagonal, in the order of `below`.
+        Blocks of L below the diagonal, in the order of `pattern.below`.
     scale : ndarray (n, 6)
         The diagonal of D, in the order of the unknowns.
     """
 
-    order: Indices
-    starts: Indices
-    below: Indices
+    pattern: Elimination
     diagonal: Array
     columns: Array
     scale: Array
 
     def solve(self, rhs: Array) -> Array:
         """Return N^-1 rhs for rhs (n, 6, m)."""
-        x = (rhs * self.scale[:, :, None])[self.order]
+        x = (rhs * self.scale[:, :, None])[self.pattern.order]
         width = x.shape[2]
         if not x.size:
             return x
@@ -61,12 +57,12 @@ class BlockCholesky:
             here = solve_triangular(own, here, lower=True, trans=1, check_finite=False)
             x[first:end] = here.reshape(-1, SIZE, width)
         out = np.empty_like(x)
-        out[self.order] = x
+        out[self.pattern.order] = x
         return out * self.scale[:, :, None]
 
     def inverse_blocks(self, i: Indices, j: Indices) -> Array:
         """Return the blocks (m, 6, 6) of N^-1 at (i, j); N itself must have blocks there."""
-        rank = Elimination(self.order, self.starts, self.below).rank
+        rank = self.pattern.rank
         upper, lower = np.minimum(rank[i], rank[j]), np.maximum(rank[i], rank[j])
         wanted = np.argsort(upper, kind="stable")
         out = np.empty((len(i), SIZE, SIZE))
@@ -82,13 +78,13 @@ class BlockCholesky:
 
     def _fronts(self) -> Iterator[tuple[int, int, Indices, Array, Array]]:
         """Yield per supernode its first column and their end, the rows below, and L's blocks of both, dense."""
-        begins = supernodes(self.starts, self.below)
+        begins = supernodes(self.pattern.starts, self.pattern.below)
         for first, end in zip(begins[:-1].tolist(), begins[1:].tolist(), strict=True):
-            rows = self.below[self.starts[end - 1] : self.starts[end]]
+            rows = self.pattern.below[self.pattern.starts[end - 1] : self.pattern.starts[end]]
             dense = np.zeros((end - first + len(rows), SIZE, end - first, SIZE))
             for k in range(first, end):
                 dense[k - first, :, k - first] = self.diagonal[k]
-                dense[k - first + 1 :, :, k - first] = self.columns[self.starts[k] : self.starts[k + 1]]
+                dense[k - first + 1 :, :, k - first] = self.columns[self.pattern.starts[k] : self.pattern.starts[k + 1]]
             L = dense.reshape(-1, SIZE * (end - first))
             yield first, end, rows, L[: L.shape[1]], L[L.shape[1] :]
 
@@ -150,7 +146,7 @@ def factor(n: int, i: Indices, j: Indices, blocks: Array, pattern: Elimination |
     upper, lower = np.divmod(place, n)
     diagonal *= scale[:, :, None] * scale[:, None, :]
     roots, columns = _factor_fronts(diagonal[pattern.order], pattern, upper, lower, beside)
-    return BlockCholesky(pattern.order, pattern.starts, pattern.below, roots, columns, scale)
+    return BlockCholesky(pattern, roots, columns, scale)
 
 
 def _factor_fronts(

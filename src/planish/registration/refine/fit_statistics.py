@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.measurement import Map
-from planish.registration.refine.residuals import Weights, around, equations, tile_of
+from planish.registration.refine.residuals import PER_MEAN_ABSOLUTE, Weights, around, equations, tile_of
 from planish.registration.refine.sides import JointSide
 from planish.registration.refine.solve import Refined, RefineOptions
 from planish.registration.refine.spectrum import MOST_NOISE
@@ -105,7 +105,7 @@ def _sizes(tile_sizes: Array) -> tuple[Array, Array]:
     number, absolute = around(tile_sizes[..., 0]), around(tile_sizes[..., 1])
     with np.errstate(divide="ignore", invalid="ignore"):
         # Mean absolute values, which outliers move less than squares.
-        return tile_sizes[..., 0], np.where(number > 0, np.sqrt(np.pi / 2) * absolute / number, 0)
+        return tile_sizes[..., 0], np.where(number > 0, PER_MEAN_ABSOLUTE * absolute / number, 0)
 
 
 def _common(common: Array, signal: Array, number: Array) -> float:

@@ -57,7 +57,7 @@ class Equations:
 
 
 #: Standard deviation of normal values over their mean absolute value.
-_PER_MEAN_ABSOLUTE = float(np.sqrt(np.pi / 2))
+PER_MEAN_ABSOLUTE = float(np.sqrt(np.pi / 2))
 #: The scale of all tiles counts in each as much as so many of its own residuals.
 PRIOR = 50.0
 #: Smallest scale, where there is no noise at all.
@@ -101,7 +101,7 @@ class Weights:
         for kind, expected in enumerate((1.0, np.sqrt(noise_passed))):
             number, absolute = np.moveaxis(equations.tile_sizes[:, :, kind], 2, 0)
             mean = absolute.sum() / max(number.sum(), 1.0)
-            scale = _PER_MEAN_ABSOLUTE * (around(absolute) + PRIOR * mean) / (around(number) + PRIOR)
+            scale = PER_MEAN_ABSOLUTE * (around(absolute) + PRIOR * mean) / (around(number) + PRIOR)
             out[:, :, kind, 0] = np.maximum(scale, _LEAST_SCALE)
             out[:, :, kind, 1] = np.where(met, 1 / np.maximum(1.0, scale / expected) ** 2, 0.0)
         return cls(out, equations.tile)
