@@ -3,9 +3,9 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <vector>
 
+#include "core/between_pixels.hpp"
 #include "core/cubic.hpp"
 #include "core/parallel.hpp"
 
@@ -146,30 +146,43 @@ Sums read(const Image<const float>& value, const Image<const float>& sigma, cons
     return read_known(value, sigma, w);
 }
 
+/// Whether there is surface at all four pixels around a place.
+bool on_surface(const Image<const float>& normals, float u, float v) {
+    const PixelShare across(u, normals.width), down(v, normals.height);
+    const float* corner = normals.at(down.index, across.index);
+    const int right = across.index + 1 < normals.width ? 3 : 0,
+              below = down.index + 1 < normals.height ? 3 * normals.width : 0;
+    const float sum = (corner[0] + corner[right]) + (corner[below] + corner[below + right]);
+    return sum == sum;  // false for NaN
+}
+
 }  // namespace
 
-void sample_chart(const Image<const float>& value, const Image<const float>& sigma, const Image<const float>& source,
-                  float interpolated, int threads, const Image<float>& out_value, const Image<float>& out_sigma) {
-    constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+void sample_chart(const Image<const float>& value, const Image<const float>& sigma, const Image<const float>& normals,
+                  const Image<const float>& source, float interpolated, int threads, const SampledChart& out) {
     const auto right = static_cast<float>(value.width - 1), bottom = static_cast<float>(value.height - 1);
     static const Kernels kernels;
     parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {
         std::vector<float> stretch(static_cast<std::size_t>(2) * source.width);
         for (auto y = static_cast<int>(first); y < static_cast<int>(last); ++y) {
             stretches(source, y, stretch.data());
+            float *sampled = out.value.row(y), *deviation = out.sigma.row(y);
+            std::uint8_t* mask = out.mask.row(y);
             for (int x = 0; x < source.width; ++x) {
-                float& sampled = *out_value.at(y, x);
-                float& deviation = *out_sigma.at(y, x);
-                sampled = deviation = nan;
+                sampled[x] = deviation[x] = 0;
+                mask[x] = 0;
                 const float *place = source.at(y, x), u = place[0], v = place[1];
                 if (!(u >= 0 && v >= 0 && u <= right && v <= bottom)) continue;  // NaN: no surface
+                if (!on_surface(normals, u, v)) continue;
                 int row = 0, column = 0;
                 const Taps& across = kernels.at(u, stretch[2 * x], column);
                 const Taps& down = kernels.at(v, stretch[2 * x + 1], row);
                 const Sums sums = read(value, sigma, {row + down.first, column + across.first, down, across});
                 if (sums.weight < kMinWeight) continue;
-                sampled = sums.value / sums.weight;
-                deviation = std::sqrt(sums.squares * (1 + interpolated * (across.gain * down.gain - 1))) / sums.weight;
+                sampled[x] = sums.value / sums.weight;
+                deviation[x] =
+                    std::sqrt(sums.squares * (1 + interpolated * (across.gain * down.gain - 1))) / sums.weight;
+                mask[x] = 1;
             }
         }
     });

@@ -18,9 +18,10 @@ def release_memory() -> None: ...
 # Registration
 def fit_surface(points: F32, camera: F64, radius: int, max_slope: float, threads: int) -> tuple[F32, F32, F32]: ...
 def locate_texture(
+    places: F32,
+    own: U8,
     points_a: F32,
     normals_a: F32,
-    own: U8,
     camera_b: F64,
     points_b: F32,
     T_b_a: F64,
@@ -61,7 +62,9 @@ def rasterise_chart(
 def chart_surface(
     source: F32, points: F32, normals: F32, nodes: F32, step: int, threads: int
 ) -> tuple[F32, F32, F32]: ...
-def sample_chart(value: F32, sigma: F32, source: F32, interpolated: float, threads: int) -> tuple[F32, F32]: ...
+def sample_chart(
+    value: F32, sigma: F32, normals: F32, source: F32, interpolated: float, threads: int
+) -> tuple[F32, F32, U8]: ...
 def block_sums(image: F32, low: float, high: float, seen: U8, factor: int, threads: int) -> tuple[F32, F32]: ...
 def local_planes(
     total: F32, weight: F32, bell: Sequence[float], least_weight: float, thin: float, steepest: float, threads: int
