@@ -52,36 +52,41 @@ Out<float, 2> local_planes(const In<float, 2>& total, const In<float, 2>& weight
     return out.map();
 }
 
-/// K images with their ranges (low, high); per image inverse level and weight; K x K maps of the noise.
+/// K images with their ranges (low, high), levels and variances; `covariance` of size 0: there is none.
 nb::tuple camera_contrast(const Maps& images, const std::vector<std::pair<float, float>>& ranges,
-                          const In<std::uint8_t, 2>& seen, const Maps& inverse_level, const Maps& weight,
-                          const Maps& noise, int factor, float limit, int threads) {
+                          const In<std::uint8_t, 2>& seen, const Maps& level, const Maps& variance,
+                          const In<float, 2>& covariance, float noise_left, int factor, float limit, int threads) {
     std::vector<planish::Exposed> exposed;
     for (std::size_t k = 0; k < images.size(); ++k)
         exposed.push_back({view<float, 2>(images[k]), ranges[k].first, ranges[k].second, seen_view(seen)});
-    const planish::ContrastPlan plan{views(inverse_level), views(weight), views(noise), factor, limit};
-    Owned<float> value(exposed[0].image.height, exposed[0].image.width, 1);
-    Owned<float> variance(exposed[0].image.height, exposed[0].image.width, 1);
+    planish::ContrastPlan plan{views(level), views(variance), {}, noise_left, factor, limit};
+    if (covariance.size() > 0) plan.covariance = view<float, 2>(covariance);
+    const auto image = exposed.at(0).image, blocks = plan.level.at(0);
+    Owned<float> value(image.height, image.width, 1), spread(image.height, image.width, 1),
+        weight(blocks.height, blocks.width, 1);
     {
         nb::gil_scoped_release release;
-        planish::camera_contrast(exposed, plan, threads, value.image, variance.image);
+        planish::camera_contrast(exposed, plan, threads, {value.image, spread.image, weight.image});
     }
-    return nb::make_tuple(value.map(), variance.map());
+    return nb::make_tuple(value.map(), spread.map(), weight.map());
 }
 
 /// `place` of size 0: at the camera's own pixels.
 nb::tuple compensated_image(const In<float, 2>& value, const In<float, 2>& variance, const In<float, 2>& level,
-                            int factor, const In<float, 3>& place, int threads) {
+                            int factor, const In<float, 3>& place, const In<std::uint8_t, 2>& seen, float gain,
+                            int threads) {
     const auto places = place.size() > 0 ? view<float, 3>(place) : planish::Image<const float>{};
-    const planish::ContrastView seen{view<float, 2>(value), view<float, 2>(variance), view<float, 2>(level), factor};
-    const int height = places.empty() ? seen.value.height : places.height;
-    const int width = places.empty() ? seen.value.width : places.width;
-    Owned<float> image(height, width, 1), out_variance(height, width, 1);
+    const planish::ContrastView own{view<float, 2>(value), view<float, 2>(variance), view<float, 2>(level), factor};
+    const auto mask = view<std::uint8_t, 2>(seen);
+    const int blocks_high = (mask.height + factor - 1) / factor, blocks_wide = (mask.width + factor - 1) / factor;
+    Owned<float> image(mask.height, mask.width, 1), out_variance(mask.height, mask.width, 1),
+        sum(blocks_high, blocks_wide, 1), count(blocks_high, blocks_wide, 1);
     {
         nb::gil_scoped_release release;
-        planish::compensated_image(seen, places, height, width, threads, image.image, out_variance.image);
+        planish::compensated_image(own, places, mask, gain, threads,
+                                   {image.image, out_variance.image, sum.image, count.image});
     }
-    return nb::make_tuple(image.map(), out_variance.map());
+    return nb::make_tuple(image.map(), out_variance.map(), sum.map(), count.map());
 }
 
 /// Per camera (image, variance, expected, trust).
@@ -150,13 +155,13 @@ void bind_texture(nb::module_& m) {
     m.def("block_sums", &block_sums, "image"_a, "low"_a, "high"_a, "seen"_a, "factor"_a, "threads"_a);
     m.def("local_planes", &local_planes, "total"_a, "weight"_a, "bell"_a, "least_weight"_a, "thin"_a, "steepest"_a,
           "threads"_a);
-    m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "seen"_a, "inverse_level"_a, "weight"_a,
-          "noise"_a, "factor"_a, "limit"_a, "threads"_a);
+    m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "seen"_a, "level"_a, "variance"_a,
+          "covariance"_a, "noise_left"_a, "factor"_a, "limit"_a, "threads"_a);
     m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "normals"_a, "source"_a, "interpolated"_a, "threads"_a);
     m.def("add_to_pattern", &add_to_pattern, "value"_a, "weight"_a, "factor"_a, "sum"_a, "weights"_a, "threads"_a);
     m.def("remove_pattern", &remove_pattern, "value"_a, "variance"_a, "own"_a, "sum"_a, "weight"_a, "prior"_a,
           "still"_a, "gain"_a, "factor"_a, "threads"_a);
     m.def("compensated_image", &compensated_image, "value"_a, "variance"_a, "level"_a, "factor"_a, "place"_a,
-          "threads"_a);
+          "seen"_a, "gain"_a, "threads"_a);
     m.def("merge_contrasts", &merge_contrasts, "images"_a, "valid"_a, "factor"_a, "threads"_a);
 }

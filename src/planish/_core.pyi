@@ -73,13 +73,14 @@ def camera_contrast(
     images: Sequence[F32],
     ranges: Sequence[tuple[float, float]],
     seen: U8,
-    inverse_level: Sequence[F32],
-    weight: Sequence[F32],
-    noise: Sequence[F32],
+    level: Sequence[F32],
+    variance: Sequence[F32],
+    covariance: F32,
+    noise_left: float,
     factor: int,
     limit: float,
     threads: int,
-) -> tuple[F32, F32]: ...
+) -> tuple[F32, F32, F32]: ...
 def add_to_pattern(value: F32, weight: F32, factor: int, sum: F32, weights: F32, threads: int) -> None: ...
 def remove_pattern(
     value: F32,
@@ -94,8 +95,8 @@ def remove_pattern(
     threads: int,
 ) -> tuple[F32, F32]: ...
 def compensated_image(
-    value: F32, variance: F32, level: F32, factor: int, place: F32, threads: int
-) -> tuple[F32, F32]: ...
+    value: F32, variance: F32, level: F32, factor: int, place: F32, seen: U8, gain: float, threads: int
+) -> tuple[F32, F32, F32, F32]: ...
 def merge_contrasts(
     images: Sequence[tuple[F32, F32, F32, F32]], valid: U8, factor: int, threads: int
 ) -> tuple[F32, F32]: ...
