@@ -34,12 +34,14 @@ nb::tuple chart_coordinates(const In<float, 3>& points, const In<float, 3>& node
                             int threads) {
     const auto image = view<float, 3>(points);
     Owned<float> coordinates(image.height, image.width, 2);
+    Owned<std::uint8_t> known(image.height, image.width, 1);
     planish::ChartExtent extent{};
     {
         nb::gil_scoped_release release;
-        extent = planish::chart_coordinates(image, view<float, 3>(nodes), step, max_height, coordinates.image, threads);
+        extent = planish::chart_coordinates(image, view<float, 3>(nodes), step, max_height, coordinates.image,
+                                            known.image, threads);
     }
-    return nb::make_tuple(coordinates.maps(), nb::make_tuple(extent.left, extent.top, extent.right, extent.bottom));
+    return nb::make_tuple(coordinates.maps(), known.map(), nb::make_tuple(extent.left, extent.top, extent.right, extent.bottom));
 }
 
 nb::tuple chart_surface(const In<float, 3>& source, const In<float, 3>& points, const In<float, 3>& normals,

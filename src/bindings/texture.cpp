@@ -106,14 +106,14 @@ nb::tuple merge_contrasts(const nb::list& images, const In<std::uint8_t, 2>& val
     return nb::make_tuple(value.map(), sigma.map());
 }
 
-nb::tuple sample_chart(const In<float, 2>& value, const In<float, 2>& sigma, const In<float, 3>& normals,
+nb::tuple sample_chart(const In<float, 2>& value, const In<float, 2>& sigma, const In<std::uint8_t, 2>& known,
                        const In<float, 3>& source, float interpolated, int threads) {
     const auto places = view<float, 3>(source);
     Owned<float> out_value(places.height, places.width, 1), out_sigma(places.height, places.width, 1);
     Owned<std::uint8_t> mask(places.height, places.width, 1);
     {
         nb::gil_scoped_release release;
-        planish::sample_chart(view<float, 2>(value), view<float, 2>(sigma), view<float, 3>(normals), places,
+        planish::sample_chart(view<float, 2>(value), view<float, 2>(sigma), view<std::uint8_t, 2>(known), places,
                               interpolated, threads, {out_value.image, out_sigma.image, mask.image});
     }
     return nb::make_tuple(out_value.map(), out_sigma.map(), mask.map());
@@ -157,7 +157,7 @@ void bind_texture(nb::module_& m) {
           "threads"_a);
     m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "seen"_a, "level"_a, "variance"_a,
           "covariance"_a, "noise_left"_a, "factor"_a, "limit"_a, "threads"_a);
-    m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "normals"_a, "source"_a, "interpolated"_a, "threads"_a);
+    m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "known"_a, "source"_a, "interpolated"_a, "threads"_a);
     m.def("add_to_pattern", &add_to_pattern, "value"_a, "weight"_a, "factor"_a, "sum"_a, "weights"_a, "threads"_a);
     m.def("remove_pattern", &remove_pattern, "value"_a, "variance"_a, "own"_a, "sum"_a, "weight"_a, "prior"_a,
           "still"_a, "gain"_a, "factor"_a, "threads"_a);

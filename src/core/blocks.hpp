@@ -17,8 +17,11 @@ inline void spread_blocks(const float* blocks, int factor, int width, float* out
 class BlockLerp {
   public:
     BlockLerp(const Image<const float>& blocks, int factor, int width)
-        : blocks_(blocks), factor_(factor), above_(width), below_(width), index_(width), share_(width) {
-        for (int u = 0; u < width; ++u) index_[u] = split(u, blocks.width, share_[u]);
+        : blocks_(blocks), factor_(factor), above_(width), below_(width), index_(width), next_(width), share_(width) {
+        for (int u = 0; u < width; ++u) {
+            index_[u] = split(u, blocks.width, share_[u]);
+            next_[u] = std::min(index_[u] + 1, blocks.width - 1);
+        }
     }
 
     /// A row of pixels, to be interpolated where it is used; as long as no other is asked for.
@@ -58,20 +61,17 @@ class BlockLerp {
     }
 
     void expand(int y, std::vector<float>& line) const {
-        const float* blocks = blocks_.row(y);
+        const float *blocks = blocks_.row(y), *share = share_.data();
+        const int *index = index_.data(), *next = next_.data(), width = static_cast<int>(line.size());
         float* __restrict out = line.data();
-        const int last = blocks_.width - 1;
-        for (int u = 0; u < static_cast<int>(line.size()); ++u) {
-            const int x = index_[u], next = x < last ? x + 1 : last;
-            out[u] = blocks[x] + share_[u] * (blocks[next] - blocks[x]);
-        }
+        for (int u = 0; u < width; ++u) out[u] = blocks[index[u]] + share[u] * (blocks[next[u]] - blocks[index[u]]);
     }
 
     Image<const float> blocks_;
     int factor_;
     int row_ = -1;
     std::vector<float> above_, below_;
-    std::vector<int> index_;
+    std::vector<int> index_, next_;
     std::vector<float> share_;
 };
 

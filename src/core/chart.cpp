@@ -129,6 +129,10 @@ void place_row(const RowBlend& blend, const Between* columns, const float* __res
     }
 }
 
+void mark_known(const float* __restrict points, int count, std::uint8_t* __restrict known) {
+    for (int u = 0; u < count; ++u) known[u] = points[3 * u + 2] == points[3 * u + 2] ? 1 : 0;  // false for NaN
+}
+
 /// Makes normals unit vectors, and axes unit tangents.
 void normalise(float* __restrict normals, float* __restrict axes, int count) {
     for (int i = 0; i < 3 * count; i += 3) {
@@ -147,7 +151,8 @@ void normalise(float* __restrict normals, float* __restrict axes, int count) {
 }  // namespace
 
 ChartExtent chart_coordinates(const Image<const float>& points, const Image<const float>& nodes, int step,
-                              double max_height, const Image<float>& coordinates, int threads) {
+                              double max_height, const Image<float>& coordinates, const Image<std::uint8_t>& known,
+                              int threads) {
     constexpr float far = std::numeric_limits<float>::infinity();
     std::vector<Between> columns(points.width);
     for (int u = 0; u < points.width; ++u) columns[u] = between(static_cast<float>(u), step, nodes.width);
@@ -165,6 +170,7 @@ ChartExtent chart_coordinates(const Image<const float>& points, const Image<cons
                           coordinates.at(v, u));
                 u = end;
             }
+            mark_known(points.row(v), points.width, known.row(v));
             for (std::size_t k = 0; k < 2; ++k) {
                 const float* out = coordinates.row(v) + k;
                 for (int u = 0; u < points.width; ++u) line[u] = out[2 * u];

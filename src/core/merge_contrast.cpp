@@ -133,25 +133,27 @@ struct Merged {
 
     explicit Merged(int width) : weight(width), total(width), noise(width) {}
 
-    void add(const SeenImage& seen, int v, const BlockLerp::Row& expected, const BlockLerp::Row& trust) {
-        const float *grey = seen.image.row(v), *variance = seen.variance.row(v);
+    void add(const float* __restrict image, const float* __restrict variance, const float* __restrict expected,
+             const float* __restrict trust) {
         float* __restrict weights = weight.data();
         float* __restrict totals = total.data();
         float* __restrict noises = noise.data();
-        for (int u = 0; u < seen.image.width; ++u) {
-            const float light = expected[u], share = trust[u];
-            // False for NaN.
-            const bool known = (variance[u] > 0) & (std::fabs(grey[u]) <= kMost) & (light > 0);
-            const float by = known ? light * light / variance[u] : 0.0F, contrast = known ? grey[u] / light - 1 : 0.0F;
-            weights[u] += share * by;
-            totals[u] += share * by * contrast;
-            noises[u] += share * share * by;
+        for (int u = 0; u < static_cast<int>(weight.size()); ++u) {
+            // 0 for NaN. Factors and divisors of 1 instead of branches, so that the loop vectorises.
+            const float known = (variance[u] > 0 ? 1.0F : 0.0F) * (std::fabs(image[u]) <= kMost ? 1.0F : 0.0F) *
+                                (expected[u] > 0 ? 1.0F : 0.0F);
+            const float light = known > 0 ? expected[u] : 1.0F, grey = known > 0 ? image[u] : 0.0F;
+            const float by = trust[u] * (known * light * light / (known > 0 ? variance[u] : 1.0F));
+            weights[u] += by;
+            totals[u] += by * (grey / light - 1);
+            noises[u] += trust[u] * by;
         }
     }
 
     void finish(const unsigned char* valid, float* __restrict value, float* __restrict sigma) {
         for (int u = 0; u < static_cast<int>(weight.size()); ++u) {
-            const float per = (valid[u] != 0) & (weight[u] > 0) ? 1 / weight[u] : kNaN;
+            const bool known = (valid[u] != 0) & (weight[u] > 0);
+            const float per = (known ? 1.0F : kNaN) / (known ? weight[u] : 1.0F);
             value[u] = total[u] * per;
             sigma[u] = std::sqrt(noise[u]) * per;
         }
@@ -198,8 +200,13 @@ void merge_contrasts(const std::vector<SeenImage>& images, const Image<const uns
             trust.emplace_back(image.trust, factor, width);
         }
         Merged sums(width);
+        std::vector<float> light(width), share(width);
         for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
-            for (std::size_t i = 0; i < images.size(); ++i) sums.add(images[i], v, expected[i].row(v), trust[i].row(v));
+            for (std::size_t i = 0; i < images.size(); ++i) {
+                expected[i].row(v, light.data());
+                trust[i].row(v, share.data());
+                sums.add(images[i].image.row(v), images[i].variance.row(v), light.data(), share.data());
+            }
             sums.finish(valid.row(v), value.row(v), sigma.row(v));
         }
     });

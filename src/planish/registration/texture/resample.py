@@ -128,13 +128,13 @@ def _resample(
 ) -> TextureImage | None:
     gsd_mm = ground_sample_distance(measurement)
     max_height = _MAX_HEIGHT * chart.step_px * gsd_mm
-    places, extent = _core.chart_coordinates(surface.points_sensor, chart.maps, chart.step_px, max_height, threads)
+    places, known, extent = _core.chart_coordinates(surface.points_sensor, chart.maps, chart.step_px, max_height, threads)
     left, top, right, bottom = extent
     if not right >= left:
         return None
     width, height = (int(np.ceil(size / pitch_mm)) + 1 for size in (right - left, bottom - top))
     source = _core.rasterise_chart(places, left, top, pitch_mm, _MAX_EDGE_GSD * gsd_mm, height, width, threads)
     interpolated = _INTERPOLATED_SHARE if len(measurement.texture_views) > 1 else 0.0
-    value, sigma, mask = _core.sample_chart(*contrast, surface.normals_sensor, source, interpolated, threads)
+    value, sigma, mask = _core.sample_chart(*contrast, known, source, interpolated, threads)
     unrolled = UnrolledSurface(surface.points_sensor, surface.normals_sensor, chart.maps, chart.step_px)
     return TextureImage(pitch_mm, value, sigma, mask.view(np.bool_), source, unrolled)
