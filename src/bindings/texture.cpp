@@ -8,7 +8,9 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "core/block_maps.hpp"
 #include "core/contrast.hpp"
+#include "core/contrast_excess.hpp"
 #include "core/fixed_pattern.hpp"
 #include "core/local_plane.hpp"
 #include "core/sample_chart.hpp"
@@ -39,6 +41,51 @@ nb::tuple block_sums(const In<float, 2>& image, float low, float high, const In<
         planish::block_sums({in, low, high, seen_view(seen)}, factor, threads, sum.image, count.image);
     }
     return nb::make_tuple(sum.map(), count.map());
+}
+
+Out<float, 3> block_centres(const In<float, 3>& image, int factor) {
+    const auto in = view<float, 3>(image);
+    Owned<float> out((in.height + factor - 1) / factor, (in.width + factor - 1) / factor, in.channels);
+    planish::block_centres(in, factor, out.image);
+    return out.maps();
+}
+
+/// Blocks (h, w) of an image of (height, width).
+Out<std::uint8_t, 2> mark_blocks(const In<float, 3>& places, int factor, int height, int width) {
+    Owned<std::uint8_t> out((height + factor - 1) / factor, (width + factor - 1) / factor, 1);
+    planish::mark_blocks(view<float, 3>(places), factor, out.image);
+    return out.map();
+}
+
+Out<float, 2> fill_gaps(const In<float, 2>& blocks, float otherwise) {
+    const auto in = view<float, 2>(blocks);
+    Owned<float> out(in.height, in.width, 1);
+    planish::fill_gaps(in, otherwise, out.image);
+    return out.map();
+}
+
+Out<float, 2> lambert(const In<float, 3>& points, const In<float, 3>& normals, const In<double, 1>& source,
+                      float least_cosine) {
+    const auto in = view<float, 3>(points);
+    Owned<float> out(in.height, in.width, 1);
+    planish::lambert(in, view<float, 3>(normals), Eigen::Map<const Eigen::Vector3d>(source.data()).cast<float>(),
+                     least_cosine, out.image);
+    return out.map();
+}
+
+/// Images, ranges and levels of two kinds.
+std::pair<int, float> contrast_scatter(const std::pair<In<float, 2>, In<float, 2>>& images,
+                                       const std::pair<std::pair<float, float>, std::pair<float, float>>& ranges,
+                                       const In<std::uint8_t, 2>& seen,
+                                       const std::pair<In<float, 2>, In<float, 2>>& levels,
+                                       const In<float, 2>& expected, int factor, int step) {
+    const auto mask = seen_view(seen);
+    const planish::Level first{{view<float, 2>(images.first), ranges.first.first, ranges.first.second, mask},
+                               view<float, 2>(levels.first)};
+    const planish::Level other{{view<float, 2>(images.second), ranges.second.first, ranges.second.second, mask},
+                               view<float, 2>(levels.second)};
+    const auto found = planish::contrast_scatter(first, other, view<float, 2>(expected), factor, step);
+    return {found.count, found.deviation};
 }
 
 Out<float, 2> local_planes(const In<float, 2>& total, const In<float, 2>& weight, const std::vector<float>& bell,
@@ -153,6 +200,12 @@ nb::tuple remove_pattern(const In<float, 2>& value, const In<float, 2>& variance
 
 void bind_texture(nb::module_& m) {
     m.def("block_sums", &block_sums, "image"_a, "low"_a, "high"_a, "seen"_a, "factor"_a, "threads"_a);
+    m.def("block_centres", &block_centres, "image"_a, "factor"_a);
+    m.def("mark_blocks", &mark_blocks, "places"_a, "factor"_a, "height"_a, "width"_a);
+    m.def("fill_gaps", &fill_gaps, "blocks"_a, "otherwise"_a);
+    m.def("lambert", &lambert, "points"_a, "normals"_a, "source"_a, "least_cosine"_a);
+    m.def("contrast_scatter", &contrast_scatter, "images"_a, "ranges"_a, "seen"_a, "levels"_a, "expected"_a,
+          "factor"_a, "step"_a);
     m.def("local_planes", &local_planes, "total"_a, "weight"_a, "bell"_a, "least_weight"_a, "thin"_a, "steepest"_a,
           "threads"_a);
     m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "seen"_a, "level"_a, "variance"_a,

@@ -195,24 +195,17 @@ def _with_unexplained(kinds: dict[str, _Kind], covariance: Map | None, seen: See
 def _excess(first: _Kind, other: _Kind, expected: Map, seen: Seen) -> np.float32:
     """Return by what share the variance of the difference of two kinds exceeds the expected (h, w); 0 where unknown."""
     height, width = first.image.shape
-    factor = -(-height // expected.shape[0])
     step = max(1, round(np.sqrt(height * width / _COMPARED)))
-    samples = np.s_[step // 2 :: step, step // 2 :: step]
-    rows, columns = (np.arange(step // 2, n, step) for n in (height, width))
-    blocks = np.ix_(np.minimum(rows // factor, expected.shape[0] - 1), columns // factor)
-    ratios = []
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for kind in (first, other):
-            grey = kind.image[samples]
-            ratios.append(
-                np.where((grey > kind.low) & (grey < kind.high), grey / kind.level[blocks], np.float32(np.nan))
-            )
-        normal = (ratios[1] - ratios[0]) / np.sqrt(expected[blocks])
-    normal = normal[np.isfinite(normal) & seen[samples]]
-    if normal.size < _MIN_COMPARED:
-        return np.float32(0)
-    deviation = _PER_MAD * float(np.median(np.abs(normal - np.median(normal))))
-    return np.float32(max(0.0, deviation**2 - 1.0))
+    count, deviation = _core.contrast_scatter(
+        (np.ascontiguousarray(first.image, np.float32), np.ascontiguousarray(other.image, np.float32)),
+        ((first.low, first.high), (other.low, other.high)),
+        np.ascontiguousarray(seen).view(np.uint8),
+        (first.level, other.level),
+        expected,
+        -(-height // expected.shape[0]),
+        step,
+    )
+    return np.float32(max(0.0, (_PER_MAD * deviation) ** 2 - 1.0) if count >= _MIN_COMPARED else 0.0)
 
 
 def _room_share(kinds: dict[str, _Kind], weight_of_mean: Map) -> Map:
