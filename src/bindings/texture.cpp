@@ -46,21 +46,31 @@ nb::tuple block_sums(const In<float, 2>& image, float low, float high, const In<
 Out<float, 3> block_centres(const In<float, 3>& image, int factor) {
     const auto in = view<float, 3>(image);
     Owned<float> out((in.height + factor - 1) / factor, (in.width + factor - 1) / factor, in.channels);
-    planish::block_centres(in, factor, out.image);
+    {
+        nb::gil_scoped_release release;
+        planish::block_centres(in, factor, out.image);
+    }
     return out.maps();
 }
 
 /// Blocks (h, w) of an image of (height, width).
 Out<std::uint8_t, 2> mark_blocks(const In<float, 3>& places, int factor, int height, int width) {
     Owned<std::uint8_t> out((height + factor - 1) / factor, (width + factor - 1) / factor, 1);
-    planish::mark_blocks(view<float, 3>(places), factor, out.image);
+    const auto at = view<float, 3>(places);
+    {
+        nb::gil_scoped_release release;
+        planish::mark_blocks(at, factor, out.image);
+    }
     return out.map();
 }
 
 Out<float, 2> fill_gaps(const In<float, 2>& blocks, float otherwise) {
     const auto in = view<float, 2>(blocks);
     Owned<float> out(in.height, in.width, 1);
-    planish::fill_gaps(in, otherwise, out.image);
+    {
+        nb::gil_scoped_release release;
+        planish::fill_gaps(in, otherwise, out.image);
+    }
     return out.map();
 }
 
@@ -68,8 +78,11 @@ Out<float, 2> lambert(const In<float, 3>& points, const In<float, 3>& normals, c
                       float least_cosine) {
     const auto in = view<float, 3>(points);
     Owned<float> out(in.height, in.width, 1);
-    planish::lambert(in, view<float, 3>(normals), Eigen::Map<const Eigen::Vector3d>(source.data()).cast<float>(),
-                     least_cosine, out.image);
+    const Eigen::Vector3f from = Eigen::Map<const Eigen::Vector3d>(source.data()).cast<float>();
+    {
+        nb::gil_scoped_release release;
+        planish::lambert(in, view<float, 3>(normals), from, least_cosine, out.image);
+    }
     return out.map();
 }
 
@@ -84,7 +97,12 @@ std::pair<int, float> contrast_scatter(const std::pair<In<float, 2>, In<float, 2
                                view<float, 2>(levels.first)};
     const planish::Level other{{view<float, 2>(images.second), ranges.second.first, ranges.second.second, mask},
                                view<float, 2>(levels.second)};
-    const auto found = planish::contrast_scatter(first, other, view<float, 2>(expected), factor, step);
+    const auto variance = view<float, 2>(expected);
+    planish::Scatter found;
+    {
+        nb::gil_scoped_release release;
+        found = planish::contrast_scatter(first, other, variance, factor, step);
+    }
     return {found.count, found.deviation};
 }
 

@@ -154,9 +154,10 @@ def _arcs(nodes: Nodes) -> tuple[Array, Array]:
 def _sums_over_edges(edges: NDArray[np.int64], count: int) -> Callable[[Array], Array]:
     """Return the function that finds values (N,) from their differences (E,) along the edges, the first being 0.
 
-    Nodes are numbered along rows, so that the matrix of the normal equations is a band as wide as a row is long.
+    Nodes are numbered along rows, the first of an edge before the second: the matrix of the normal equations is a band
+    as wide as a row is long.
     """
-    i, j = np.sort(edges, axis=1).T
+    i, j = edges.T
     width = int((j - i).max(initial=0))
     # Lower form of LAPACK: row k holds the k-th diagonal below the main one.
     band = np.zeros((width + 1, count))
