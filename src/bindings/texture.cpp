@@ -222,8 +222,8 @@ void bind_texture(nb::module_& m) {
     m.def("mark_blocks", &mark_blocks, "places"_a, "factor"_a, "height"_a, "width"_a);
     m.def("fill_gaps", &fill_gaps, "blocks"_a, "otherwise"_a);
     m.def("lambert", &lambert, "points"_a, "normals"_a, "source"_a, "least_cosine"_a);
-    m.def("contrast_scatter", &contrast_scatter, "images"_a, "ranges"_a, "seen"_a, "levels"_a, "expected"_a,
-          "factor"_a, "step"_a);
+    m.def("contrast_scatter", &contrast_scatter, "images"_a, "ranges"_a, "seen"_a, "levels"_a, "expected"_a, "factor"_a,
+          "step"_a);
     m.def("local_planes", &local_planes, "total"_a, "weight"_a, "bell"_a, "least_weight"_a, "thin"_a, "steepest"_a,
           "threads"_a);
     m.def("camera_contrast", &camera_contrast, "images"_a, "ranges"_a, "seen"_a, "level"_a, "variance"_a,
@@ -232,7 +232,7 @@ void bind_texture(nb::module_& m) {
     m.def("add_to_pattern", &add_to_pattern, "value"_a, "weight"_a, "factor"_a, "sum"_a, "weights"_a, "threads"_a);
     m.def("remove_pattern", &remove_pattern, "value"_a, "variance"_a, "own"_a, "sum"_a, "weight"_a, "prior"_a,
           "still"_a, "gain"_a, "factor"_a, "threads"_a);
-    m.def("compensated_image", &compensated_image, "value"_a, "variance"_a, "level"_a, "factor"_a, "place"_a,
-          "seen"_a, "gain"_a, "threads"_a);
+    m.def("compensated_image", &compensated_image, "value"_a, "variance"_a, "level"_a, "factor"_a, "place"_a, "seen"_a,
+          "gain"_a, "threads"_a);
     m.def("merge_contrasts", &merge_contrasts, "images"_a, "valid"_a, "factor"_a, "threads"_a);
 }

@@ -137,8 +137,12 @@ void combine(const std::vector<Exposed>& images, const ContrastPlan& plan, int t
             for (int v = y * plan.factor; v < std::min(out.value.height, (y + 1) * plan.factor); ++v) {
                 std::array<Line, K> lines;
                 for (int k = 0; k < K; ++k)
-                    lines[k] = {images[k].image.row(v), images[k].low, images[k].high, levels[k].row(v),
-                                of_pixels.weight[k].data(), of_pixels.noise[k].data()};
+                    lines[k] = {images[k].image.row(v),
+                                images[k].low,
+                                images[k].high,
+                                levels[k].row(v),
+                                of_pixels.weight[k].data(),
+                                of_pixels.noise[k].data()};
                 mix<K>(lines, seen_row(images[0], v, everything), of_pixels.common.data(), plan.limit, width,
                        out.value.row(v), out.variance.row(v));
             }
@@ -164,10 +168,14 @@ void block_sums(const Exposed& exposed, int factor, int threads, const Image<flo
 void camera_contrast(const std::vector<Exposed>& images, const ContrastPlan& plan, int threads,
                      const CameraContrast& out) {
     switch (images.size()) {
-        case 1: return combine<1>(images, plan, threads, out);
-        case 2: return combine<2>(images, plan, threads, out);
-        case 3: return combine<3>(images, plan, threads, out);
-        default: throw std::invalid_argument("one to three kinds of images");
+        case 1:
+            return combine<1>(images, plan, threads, out);
+        case 2:
+            return combine<2>(images, plan, threads, out);
+        case 3:
+            return combine<3>(images, plan, threads, out);
+        default:
+            throw std::invalid_argument("one to three kinds of images");
     }
 }
 

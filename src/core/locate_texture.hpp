@@ -17,8 +17,8 @@ struct TextureSurface {
 };
 
 /// Where the pixels of a texture image of a lie in b's image under T_b_a: `source` (h, w, 2) takes b's pixel; NaN where
-/// a has no surface, b's camera does not see that side of the surface, or where b's point (H, W, 3) at the nearest pixel lies farther
-/// than `gate` from it, along its normal.
+/// a has no surface, b's camera does not see that side of the surface, or where b's point (H, W, 3) at the nearest
+/// pixel lies farther than `gate` from it, along its normal.
 void locate_texture(const TextureSurface& a, const Camera& camera_b, const Image<const float>& points_b,
                     const Eigen::Matrix3d& R_b_a, const Eigen::Vector3d& t_b_a, double gate, int threads,
                     const Image<float>& source);

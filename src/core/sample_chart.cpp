@@ -173,8 +173,9 @@ struct ChartRow {
 
 }  // namespace
 
-void sample_chart(const Image<const float>& value, const Image<const float>& sigma, const Image<const std::uint8_t>& known,
-                  const Image<const float>& source, float interpolated, int threads, const SampledChart& out) {
+void sample_chart(const Image<const float>& value, const Image<const float>& sigma,
+                  const Image<const std::uint8_t>& known, const Image<const float>& source, float interpolated,
+                  int threads, const SampledChart& out) {
     const auto right = static_cast<float>(value.width - 1), bottom = static_cast<float>(value.height - 1);
     static const Kernels kernels;
     parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {

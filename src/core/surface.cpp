@@ -160,7 +160,7 @@ struct Rays {
 struct Around {
     const double *above, *here, *below;
 
-    Around(const std::array<const Rays*, 3>& rows, std::vector<double> Rays::*axis, int u)
+    Around(const std::array<const Rays*, 3>& rows, std::vector<double> Rays::* axis, int u)
         : above((rows[0]->*axis).data() + u + 1),
           here((rows[1]->*axis).data() + u + 1),
           below((rows[2]->*axis).data() + u + 1) {}
@@ -294,8 +294,7 @@ void invert_depths(const float* __restrict points, int count, const Eigen::Vecto
                    const Eigen::Vector3d& axis, float* __restrict out) {
     const double cx = centre[0], cy = centre[1], cz = centre[2], ax = axis[0], ay = axis[1], az = axis[2];
     for (int u = 0; u < count; ++u) {
-        const double depth =
-            ax * (points[3 * u] - cx) + ay * (points[3 * u + 1] - cy) + az * (points[3 * u + 2] - cz);
+        const double depth = ax * (points[3 * u] - cx) + ay * (points[3 * u + 1] - cy) + az * (points[3 * u + 2] - cz);
         out[u] = static_cast<float>((depth > 0 ? 1.0 : kNaN) / depth);
     }
 }

@@ -75,9 +75,7 @@ def camera_contrast(images, ranges, seen, level, variance, covariance, noise_lef
         w * np.where(k, i, 0) * between_blocks(1 / m.astype(float), factor, shape)
         for w, k, i, m in zip(weights, known, images, level, strict=True)
     ]
-    left = sum(
-        weights[k] * weights[j] * spread(noise[k, j], factor, shape) for k in range(kinds) for j in range(kinds)
-    )
+    left = sum(weights[k] * weights[j] * spread(noise[k, j], factor, shape) for k in range(kinds) for j in range(kinds))
     with np.errstate(divide="ignore", invalid="ignore"):
         value = np.where(total > 0, np.clip(sum(grey) / total - 1, -limit, limit), np.nan)
         return value, np.where(total > 0, left / total**2, np.nan), weight[0]

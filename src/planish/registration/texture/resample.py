@@ -128,7 +128,9 @@ def _resample(
 ) -> TextureImage | None:
     gsd_mm = ground_sample_distance(measurement)
     max_height = _MAX_HEIGHT * chart.step_px * gsd_mm
-    places, known, extent = _core.chart_coordinates(surface.points_sensor, chart.maps, chart.step_px, max_height, threads)
+    places, known, extent = _core.chart_coordinates(
+        surface.points_sensor, chart.maps, chart.step_px, max_height, threads
+    )
     left, top, right, bottom = extent
     if not right >= left:
         return None
