@@ -52,21 +52,22 @@ struct RowSums {
 
 /// Fits of one row of pixels; w is NaN where there is none. Behind the row there is room to compute more.
 struct RowFits {
-    std::vector<float> w, w_u, w_v, low, high;
+    std::vector<double> w, w_u, w_v;
 
     explicit RowFits(int width) {
-        for (auto* v : {&w, &w_u, &w_v, &low, &high}) v->assign(width + kAhead, kNaN);
+        for (auto* v : {&w, &w_u, &w_v}) v->assign(width + kAhead, kNaN);
+        for (auto* v : {&sum_, &moment_u_, &moment_v_, &low_, &high_}) v->resize(width);
     }
 
     /// Fits over whole windows that lie on one surface: the normal equations are diagonal. `line` is the row itself,
     /// `slope` the change of inverse depth over half the window, relative to it, that still is one surface.
     void fit(const std::vector<RowSums>& rows, int first, int r, const float* __restrict line, float slope) {
         const int size = 2 * r + 1, width = static_cast<int>(rows[0].sum.size());
-        float* __restrict s = w.data();
-        float* __restrict mu = w_u.data();
-        float* __restrict mv = w_v.data();
-        float* __restrict l = low.data();
-        float* __restrict h = high.data();
+        float* __restrict s = sum_.data();
+        float* __restrict mu = moment_u_.data();
+        float* __restrict mv = moment_v_.data();
+        float* __restrict l = low_.data();
+        float* __restrict h = high_.data();
         for (int u = 0; u < width; ++u) s[u] = mu[u] = mv[u] = 0, l[u] = h[u] = line[u];
         for (int k = 0; k < size; ++k) {
             const RowSums& row = rows[(first + k) % size];
@@ -85,14 +86,20 @@ struct RowFits {
         }
         const auto n = static_cast<float>(size * size);
         const float spread = n * static_cast<float>(r * (r + 1)) / 3.0F;  // sum of k^2 over the window
+        double* __restrict to_w = w.data();
+        double* __restrict to_u = w_u.data();
+        double* __restrict to_v = w_v.data();
         for (int u = 0; u < width; ++u) {
             const float limit = slope * line[u];
             const float one = (h[u] - line[u] <= limit ? 1.0F : 0.0F) * (line[u] - l[u] <= limit ? 1.0F : 0.0F);
-            s[u] = one > 0 ? s[u] / n : kNaN;
-            mu[u] /= spread;
-            mv[u] /= spread;
+            to_w[u] = one > 0 ? s[u] / n : kNaN;
+            to_u[u] = mu[u] / spread;
+            to_v[u] = mv[u] / spread;
         }
     }
+
+  private:
+    std::vector<float> sum_, moment_u_, moment_v_, low_, high_;
 };
 
 /// Affine fit of the inverse depth in the window around (u0, v0), over pixels within `limit` of the centre's.
@@ -174,7 +181,7 @@ using Results = std::array<std::array<float, kAhead>, 12>;
 void place(const std::array<const Rays*, 3>& rows, const RowFits& fits, int u, const Eigen::Vector3d& centre,
            Results& out) {
     const Around x(rows, &Rays::x, u), y(rows, &Rays::y, u), z(rows, &Rays::z, u);
-    const float *w = fits.w.data() + u, *w_u = fits.w_u.data() + u, *w_v = fits.w_v.data() + u;
+    const double *w = fits.w.data() + u, *w_u = fits.w_u.data() + u, *w_v = fits.w_v.data() + u;
     const double cx = centre[0], cy = centre[1], cz = centre[2];
     for (int i = 0; i < kAhead; ++i) {
         const double left = x.here[i - 1] == x.here[i - 1] ? 1.0 : 0.0,
@@ -248,9 +255,9 @@ class Rows {
         for (int u = 0; u < width; ++u) {
             if (!std::isnan(fits_.w[u]) || std::isnan(line[u])) continue;
             const Fit fit = fit_inverse_depth(inverse_, width, height, u, v, r_, slope_ * line[u]);
-            fits_.w[u] = fit.ok ? static_cast<float>(fit.w) : kNaN;
-            fits_.w_u[u] = static_cast<float>(fit.w_u);
-            fits_.w_v[u] = static_cast<float>(fit.w_v);
+            fits_.w[u] = fit.ok ? fit.w : kNaN;
+            fits_.w_u[u] = fit.w_u;
+            fits_.w_v[u] = fit.w_v;
         }
         const std::array<const Rays*, 3> rows{&rays_[(v + 2) % 3], &rays_[v % 3], &rays_[(v + 1) % 3]};
         Results found;
