@@ -75,7 +75,7 @@ class CameraPattern:
         """
         rest, total = np.zeros_like(value), variance
         for part, band in zip(split_bands(value), self.bands, strict=True):
-            own = None if counted is None else pattern_weights(part, threads) * counted
+            own = None if counted is None else pattern_weights(*block_moments(part, threads)) * counted
             cleaned, total = band.remove(part, total, own, threads)
             rest += cleaned
         # The bands overlap: of a white pattern they hold this share of the variance, the rest is their covariance.
@@ -124,11 +124,10 @@ def block_moments(value: Map, threads: int) -> tuple[Map, Map]:
     return _core.block_sums(value * value, -np.inf, np.inf, EVERYWHERE, BLOCK_PX, threads)
 
 
-def pattern_weights(value: Map, threads: int) -> Map:
-    """Return 1 / variance (h, w) of a contrast (H, W) around each block: texture, pattern and noise together."""
+def pattern_weights(squares: Map, count: Map) -> Map:
+    """Return 1 / variance (h, w) of a contrast around each block by its moments: texture, pattern, noise together."""
     squares, count = (
-        cv2.GaussianBlur(m, (0, 0), _VARIANCE_BLOCKS, borderType=cv2.BORDER_CONSTANT)
-        for m in block_moments(value, threads)
+        cv2.GaussianBlur(m, (0, 0), _VARIANCE_BLOCKS, borderType=cv2.BORDER_CONSTANT) for m in (squares, count)
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.maximum(squares / count, np.float32(_MIN_DEVIATION**2))
