@@ -113,9 +113,13 @@ def split_bands(value: Map) -> tuple[Map, Map]:
     if known.all():
         coarse = cv2.GaussianBlur(value, (0, 0), _SPLIT_PX)
         return value - coarse, coarse
-    total = cv2.GaussianBlur(np.where(known, value, np.float32(0)), (0, 0), _SPLIT_PX)
+    filled = value.copy()
+    cv2.patchNaNs(filled, 0)
+    coarse = cv2.GaussianBlur(filled, (0, 0), _SPLIT_PX)
     share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), _SPLIT_PX)
-    coarse = np.where(known, total / np.maximum(share, np.float32(1e-6)), np.float32(np.nan))
+    # In place: whole frames of temporaries take longer than the arithmetic.
+    np.divide(coarse, np.maximum(share, np.float32(1e-6), out=share), out=coarse)
+    np.copyto(coarse, np.float32(np.nan), where=~known)
     return value - coarse, coarse
 
 

@@ -153,9 +153,7 @@ def chance_of_agreement(matches: Matches, T_a_b: Array, coarse: CoarseResult) ->
     return float(np.clip(max(density * (_FREEDOM / _DENSITY_TOLERANCES) ** 2, coarse.chance), 1e-12, 1.0))
 
 
-def _nearly_agreeing(
-    matches: Matches, T_a_b: Array, coarse: CoarseResult
-) -> tuple[NDArray[np.bool_], _Neighbourhood]:
+def _nearly_agreeing(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> tuple[NDArray[np.bool_], _Neighbourhood]:
     """Which matches (M,) nearly agree, and what tells the chance that one of them agrees exactly."""
     options = coarse.options
     reach = _NEARLY_TOLERANCES * options.tolerance_mm
