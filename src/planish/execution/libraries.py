@@ -1,8 +1,8 @@
 """Threads of libraries: planish shares out the processors itself.
 
 Its matrices are small or narrow, and several of its threads multiply at a time. A BLAS with threads of its own makes
-them wait for each other: on two processors that others use too, the eigenvectors of a matrix of 300 rows took a hundred
-times as long as with one thread. With one, the bits do not depend on the number of processors either.
+these wait for each other, and spends the processors on waiting: the longer the busier the machine is. With one thread,
+the bits do not depend on the number of processors either.
 """
 
 from __future__ import annotations

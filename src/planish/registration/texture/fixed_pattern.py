@@ -164,7 +164,8 @@ def add_sums(parts: Iterable[PatternSums]) -> PatternSums:
 
 
 def _add(sums: PatternSums, measurement: Measurement, options: PhotometricOptions, threads: int) -> None:
-    names = measurement.texture_views
+    # What the organising camera sees tells what stood still, also where only the other one serves as texture.
+    names = tuple(dict.fromkeys((*measurement.texture_views, measurement.organised_on)))
     # Cameras side by side: much of each is too small to be shared out by rows.
     own = max(1, threads // len(names))
     lowpass = Lowpass.of(options.shading_mm / ground_sample_distance(measurement), own)
