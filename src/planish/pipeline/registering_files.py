@@ -16,6 +16,7 @@ import numpy as np
 
 from planish.errors import InputError
 from planish.execution.executor import Executor, Threads
+from planish.execution.libraries import serial_linear_algebra
 from planish.execution.store import StageStore
 from planish.files.given import GivenFiles, read_given
 from planish.pipeline.frozen import Batch, Frozen, FrozenMeasurement
@@ -50,6 +51,7 @@ Value = TypeVar("Value")
 FileProgress = Callable[[str, int, int, int], None]
 
 
+@serial_linear_algebra()
 def register_files(
     paths: Sequence[Path],
     out: Path,
@@ -97,6 +99,7 @@ def register_files(
     return _Run(Path(out), start, executor, say).go(sources, [list(sources)])
 
 
+@serial_linear_algebra()
 def add_files(
     paths: Sequence[Path],
     to: Path,
