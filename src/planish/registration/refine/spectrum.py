@@ -128,12 +128,43 @@ def _power(spectrum: NDArray[np.complexfloating]) -> Array:
     return np.asarray(spectrum.real**2 + spectrum.imag**2)
 
 
-def _averaged(half: Array, size: tuple[int, int], scale: float) -> Array:
-    """Average of a half spectrum (h, w // 2 + 1) over frequencies around [standard deviation, cycles per pixel]."""
-    # The transform of a Gaussian average is a product with a Gaussian; spectra are periodic.
-    windows = (np.exp(-2 * (np.pi * scale * n * np.fft.fftfreq(n)) ** 2) for n in size)
-    rows, columns = (window.astype(np.float32) for window in windows)
-    lags = fft.irfft2(half.astype(np.float32), size)
-    lags *= rows[:, None]
-    lags *= columns
-    return np.asarray(fft.rfft2(lags, size).real)
+def _averaged(half: Array, size: tuple[int, int], scale: float) -> Map:
+    """Average of a half spectrum (h, w // 2 + 1) over frequencies around [standard deviation, cycles per pixel].
+
+    Notes
+    -----
+    What is so smooth needs no more samples than `_SAMPLES` per standard deviation: each stands for a square of
+    frequencies.
+    """
+    sigmas = [scale * n for n in size]
+    step = max(1, int(min(sigmas) / _SAMPLES))
+    # Both spectra of the average's ends: a square adds to the variance, and so does linear interpolation.
+    added = (step**2 - 1) / 12 * 2
+    around = [step * (int(np.ceil(_REACH * sigma / step)) + 1) for sigma in sigmas]
+    whole = _continued(half.astype(np.float32, copy=False), size, around, step)
+    small = (whole.shape[1] // step, whole.shape[0] // step)
+    rows, columns = (np.sqrt(sigma**2 - added) / step for sigma in sigmas)
+    squares = whole if step == 1 else cv2.resize(whole, small, interpolation=cv2.INTER_AREA)
+    smooth = cv2.GaussianBlur(squares, (0, 0), sigmaX=columns, sigmaY=rows)
+    if step > 1:
+        smooth = cv2.resize(smooth, whole.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return smooth[around[0] : around[0] + half.shape[0], around[1] : around[1] + half.shape[1]]
+
+
+#: Samples per standard deviation of an average over frequencies, and how far it reaches, in standard deviations.
+_SAMPLES, _REACH = 4, 4.0
+
+
+def _continued(half: Map, size: tuple[int, int], around: list[int], step: int) -> Map:
+    """A half spectrum (h, w // 2 + 1) of a real image, continued by so many rows and columns, both multiples of `step`.
+
+    Spectra are periodic; those of opposite frequencies are alike.
+    """
+    height, width = half.shape
+    opposite = np.roll(half[::-1], 1, axis=0)
+    columns = around[1] + -(width + around[1]) % step
+    left = opposite[:, around[1] : 0 : -1]
+    # Behind the highest frequency w // 2 follows that opposite to w - w // 2 - 1.
+    right = opposite[:, size[1] - width : size[1] - width - columns : -1]
+    rows = around[0] + -(height + around[0]) % step
+    return cv2.copyMakeBorder(np.hstack([left, half, right]), around[0], rows, 0, 0, cv2.BORDER_WRAP)
