@@ -21,11 +21,14 @@ def smooth_map(image: Map, rows_px: float, columns_px: float) -> Map:
     step = max(1, int(min(rows_px, columns_px) / _SAMPLES))
     if step == 1:
         return cv2.GaussianBlur(image, (0, 0), columns_px, sigmaY=rows_px, borderType=cv2.BORDER_CONSTANT)
-    whole = cv2.copyMakeBorder(image, 0, -height % step, 0, -width % step, cv2.BORDER_CONSTANT, value=0.0)
+    # A square more on all sides: the rim, too, lies between samples.
+    below, right = (step + -n % step for n in image.shape)
+    whole = cv2.copyMakeBorder(image, step, below, step, right, cv2.BORDER_CONSTANT, value=0.0)
     size = whole.shape[1] // step, whole.shape[0] // step
     # A square has a variance of (step^2 - 1) / 12, the triangle of the interpolation of (step^2 - 1) / 6.
     added = (step**2 - 1) / 4
     rows, columns = (float(np.sqrt(sigma**2 - added)) / step for sigma in (rows_px, columns_px))
     squares = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
     smooth = cv2.GaussianBlur(squares, (0, 0), columns, sigmaY=rows, borderType=cv2.BORDER_CONSTANT)
-    return cv2.resize(smooth, whole.shape[::-1], interpolation=cv2.INTER_LINEAR)[:height, :width]
+    smooth = cv2.resize(smooth, whole.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    return smooth[step : step + height, step : step + width]
