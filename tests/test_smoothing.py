@@ -11,8 +11,8 @@ from planish.registration.refine.smoothing import smooth_map
 #: Share of an average's own standard deviation: weights that are constant over a quarter of the Gaussian's differ from
 #: it by 1 / (4 sqrt(24)) = 5 % along each axis (root mean square), and so do those that lie between samples.
 OF_NOISE = 0.15
-#: Linear interpolation errs by an eighth of the curvature times the squared step: of a step smoothed by a Gaussian at most
-#: 0.242 / (8 * 4^2) along each axis.
+#: Linear interpolation errs by an eighth of the curvature times the squared step: of a step smoothed by a Gaussian at
+#: most 0.242 / (8 * 4^2) along each axis.
 OF_SMOOTH = 4e-3
 
 
