@@ -128,7 +128,7 @@ def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index) -> tuple
     # About a plane, so that float32 sums keep what is bent.
     grid_v, grid_u = np.ogrid[: known.shape[0], : known.shape[1]]
     per = np.array([1, 1 / _SCALE_PX, 1 / _SCALE_PX, *[2 / _SCALE_PX**2, 1 / _SCALE_PX**2, 2 / _SCALE_PX**2]])
-    inverse, at_rim = np.linalg.inv(inside), np.linalg.inv(at_rim)
+    inverse, of_rim = np.linalg.inv(inside), np.linalg.inv(at_rim)
     fits = []
     for field in fields:
         plane = _plane(field, known)
@@ -136,7 +136,7 @@ def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index) -> tuple
         rest[~known] = 0
         sides = np.stack([moment(rest, p, q) for p, q in _POWERS])
         found = inverse @ sides
-        found[:, rim] = np.einsum("nij,jn->in", at_rim, sides[:, rim])
+        found[:, rim] = np.einsum("nij,jn->in", of_rim, sides[:, rim])
         found *= per[:, None]
         found[1:3] += plane[1:, None] / _BIN_PX
         fits.append(found)
