@@ -71,8 +71,8 @@ def _asked(
 
 def _align_one(own: NDArray[np.bool_], image: TextureImage, b: Side, T_a_b: Array, gate_mm: float) -> Aligned:
     source = _core.locate_texture(
-        np.ascontiguousarray(image.points_sensor, np.float32), np.ascontiguousarray(image.normals_sensor, np.float32),
-        own.view(np.uint8), b.measurement.camera.kernel_parameters,
+        image.source_px, own.view(np.uint8), image.surface.points_sensor, image.surface.normals_sensor,
+        b.measurement.camera.kernel_parameters,
         np.ascontiguousarray(b.measurement.points_sensor, np.float32), invert(T_a_b), gate_mm, 1,
     )  # fmt: skip
     common = np.isfinite(source[..., 0])

@@ -120,8 +120,8 @@ def _rigid(chart: Aligned, A: Array, gate_mm: float) -> Array | None:
     inside[inside] &= chart.image.mask[to_row[inside], to_column[inside]]
     if inside.sum() < _MIN_PLACES:
         return None
-    before = chart.image.points_sensor[rows[inside], columns[inside]].astype(float)
-    after = chart.image.points_sensor[to_row[inside], to_column[inside]].astype(float)
+    before = chart.image.points_at(rows[inside], columns[inside])
+    after = chart.image.points_at(to_row[inside], to_column[inside])
     motion = fit_rigid(after, before)
     residual = np.linalg.norm(transform_points(motion, before) - after, axis=1)
     return motion if np.sqrt((residual**2).mean()) <= gate_mm else None

@@ -146,7 +146,7 @@ def _places(
     found = sample(chart.source_b, centre[:, ::-1] + offset_px, nearest_outside=True)
     return (
         cell,
-        image.points_sensor[row, column].astype(float),
+        image.points_at(row, column),
         image.source_px[row, column].astype(float),
         chart.source_b[row, column].astype(float),
         found.astype(float),
