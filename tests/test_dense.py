@@ -1,6 +1,7 @@
 """The dense path: weak textures are found by correlation of whole surfaces, and unrelated ones are not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,8 +12,9 @@ from given_surface import GivenSurface
 from planish.geometry import compose, exp_so3, invert, transform_points
 from planish.registration.consensus import Search, find_consensus
 from planish.registration.dense.develop import Development
-from planish.registration.dense.match import DenseTexture, match_windows
+from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows
 from planish.registration.dense.spectrum import analyse, plan_rotations
+from planish.registration.pair import keypoints_may_fail
 from planish.registration.texture.resample import TextureImage
 from planish.registration.verdict.false_alarms import log10_false_alarms
 
@@ -167,3 +169,13 @@ def test_a_seam_across_the_image_does_not_give_the_direction():
     plan = plan_rotations(a.spectrum, seamed, 2e4)
     turned = np.abs(np.angle(np.exp(2j * plan.angles))) / 2
     assert turned.max() < np.deg2rad(10.0)
+
+
+@pytest.mark.parametrize(
+    ("signal_to_noise", "directed", "asked"),
+    [(3.9, False, True), (3.9, True, True), (6.0, False, False), (6.0, True, True), (9.1, True, False)],
+)
+def test_whole_textures_are_asked_where_keypoints_may_fail(signal_to_noise, directed, asked):
+    texture = SimpleNamespace(spectrum=SimpleNamespace(directional=directed))
+    strong, side = (SimpleNamespace(signal_to_noise=s, dense=(texture,)) for s in (100.0, signal_to_noise))
+    assert keypoints_may_fail(strong, side, DenseOptions()) == keypoints_may_fail(side, strong, DenseOptions()) == asked

@@ -24,10 +24,10 @@ class DenseOptions(Options):
     enabled: bool = True
     #: Pixel of the correlated texture in pixels of the texture images.
     pitch_factor: int = Field(default=2, ge=1, le=10)
-    #: Texture without a direction is correlated only if its variance is below this many times that of its noise:
-    #: keypoints find the rest, and all rotations would have to be tried. Grain that runs one way is always correlated,
-    #: for its keypoints look alike.
+    #: Only texture whose variance is below this many times that of its noise: keypoints find the rest.
     max_signal_to_noise: float = Field(default=4.0, ge=0)
+    #: The same for texture that runs one way: its keypoints look alike, and few rotations have to be tried.
+    max_directed_signal_to_noise: float = Field(default=9.0, ge=0)
     #: Distance from a common placement within which each window is sought [mm].
     search_mm: float = Field(default=24.0, gt=0)
     #: A placement that other than by chance comes second has at least this share of the best one's significance.
