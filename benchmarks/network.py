@@ -6,10 +6,10 @@
     python benchmarks/network.py --rendered full    # 8 x 5 panel of 2.4 m x 1.2 m, ring of 16, full resolution
     python benchmarks/network.py --sizes 50 100     # growth of whole runs of files, of the sizes 50 100 200 400 1000
 
-Whole runs (networks_grown.py) go in cells: those that are there are not run again, and the table is made of all.
+Whole runs (networks/grown.py) go in cells: those that are there are not run again, and the table is made of all.
 
-Drawn pairs have the covariances of a plate with 3 % grain and an overlap of a third (networks.py). Rendered captures go
-through the whole registration, which tries all pairs: networks_rendered.py says what they cost.
+Drawn pairs have the covariances of a plate with 3 % grain and an overlap of a third (networks/drawn.py). Rendered
+captures go through the whole registration, which tries all pairs: networks/rendered.py says what they cost.
 """
 
 from __future__ import annotations
@@ -180,17 +180,17 @@ def main() -> None:
                         help="folder for the measurements of --sizes")  # fmt: skip
     arguments = parser.parse_args()
     if arguments.sizes is not None:
-        from networks_grown import grown
+        from networks.grown import grown
 
         grown(arguments.sizes, arguments.cache, arguments.again)
     elif arguments.rendered is None:
         drawn(arguments.seeds, f"python benchmarks/network.py --seeds {arguments.seeds}")
     else:
-        from networks_rendered import rendered
+        from networks.rendered import rendered
 
         rendered(arguments.rendered)
         if arguments.rendered == "small":
-            from networks_faults import faults
+            from networks.faults import faults
 
             faults()
 
