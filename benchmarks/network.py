@@ -7,10 +7,11 @@
     python benchmarks/network.py --order            # how often measurements are prepared for their pairs; seconds
     python benchmarks/network.py --sizes 50 100     # growth of whole runs of files, of the sizes 50 100 200 400 1000
 
-Whole runs (networks/grown.py) go in cells: those that are there are not run again, and the table is made of all.
+Whole runs (networks/grown.py) and rendered networks (networks/rendered.py) go in cells: those that are there are not
+run again, and the table is made of all.
 
 Drawn pairs have the covariances of a plate with 3 % grain and an overlap of a third (networks/drawn.py). Rendered
-captures go through the whole registration, which tries all pairs: networks/rendered.py says what they cost.
+captures go from files through the whole registration.
 """
 
 from __future__ import annotations
@@ -190,9 +191,10 @@ def main() -> None:
     parser.add_argument("--rendered", choices=("small", "full"))
     parser.add_argument("--order", action="store_true", help="the order of pairs alone")
     parser.add_argument("--sizes", type=int, nargs="+", choices=(50, 100, 200, 400, 1000))
-    parser.add_argument("--again", action="store_true", help="run the sizes that are already there, too")
+    parser.add_argument("--again", action="store_true", help="run the sizes and networks that are there, too")
+    parser.add_argument("--workers", type=int, default=1, help="networks of --rendered side by side")
     parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "planish-network",
-                        help="folder for the measurements of --sizes")  # fmt: skip
+                        help="folder for the measurements of --sizes and --rendered")  # fmt: skip
     arguments = parser.parse_args()
     if arguments.sizes is not None:
         from networks.grown import grown
@@ -205,7 +207,7 @@ def main() -> None:
     else:
         from networks.rendered import rendered
 
-        rendered(arguments.rendered)
+        rendered(arguments.rendered, arguments.cache, arguments.workers, arguments.again)
         if arguments.rendered == "small":
             from networks.faults import faults
 

@@ -19,7 +19,7 @@ from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.geometry import Sight
 from planish.registration.verdict.hypothesis import as_hypothesis
 from planish.registration.verdict.judge import VerdictOptions, judge_refined
-from planish.registration.verdict.verify import VerifyOptions
+from planish.registration.verdict.window_sizes import VerifyOptions
 
 CLEAR, OPTIONS = Sight(meet=1000, hidden=0), VerdictOptions()
 CENTRE = [30, 10, 0]

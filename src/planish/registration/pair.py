@@ -40,7 +40,7 @@ def register_pair(
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse = find_consensus(matches, options.consensus, threads, search=_patch_search(a, options.match))
     result = _judged(a, b, matches, coarse, options, pairs_in_run, threads)
-    if result.status != "refused" or not (options.dense.enabled and is_weak(a, b, options.dense)):
+    if result.status != "refused" or not (options.dense.enabled and _keypoints_may_fail(a, b, options.dense)):
         return result
     windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
     search = Search(np.inf, windows.chance, windows.tried)
@@ -93,6 +93,11 @@ def _patch_search(side: Prepared, options: MatchOptions) -> Search:
 
 def _patch_side(side: Prepared) -> PatchSide:
     return PatchSide(side.keypoints, side.images, side.patches)
+
+
+def _keypoints_may_fail(a: Prepared, b: Prepared, options: DenseOptions) -> bool:
+    """Whether a pair may share texture that keypoints do not tell apart: weak, or all of it running one way."""
+    return is_weak(a, b, options) or all(any(t.spectrum.directional for t in side.dense) for side in (a, b))
 
 
 def is_weak(a: Prepared, b: Prepared, options: DenseOptions) -> bool:

@@ -24,7 +24,9 @@ class DenseOptions(Options):
     enabled: bool = True
     #: Pixel of the correlated texture in pixels of the texture images.
     pitch_factor: int = Field(default=2, ge=1, le=10)
-    #: Only texture whose variance is below this many times that of its noise: keypoints find the rest.
+    #: Texture without a direction is correlated only if its variance is below this many times that of its noise:
+    #: keypoints find the rest, and all rotations would have to be tried. Grain that runs one way is always correlated,
+    #: for its keypoints look alike.
     max_signal_to_noise: float = Field(default=4.0, ge=0)
     #: Distance from a common placement within which each window is sought [mm].
     search_mm: float = Field(default=24.0, gt=0)

@@ -12,7 +12,6 @@ from planish.measurement import Measurement
 from planish.registration.consensus import Candidate, CoarseResult
 from planish.registration.matches import Matches
 from planish.registration.refine.anchor import Anchor
-from planish.registration.texture.resample import TextureImage
 from planish.registration.texture.sampling import sample
 from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.false_alarms import (
@@ -22,12 +21,11 @@ from planish.registration.verdict.false_alarms import (
     log10_transforms,
 )
 from planish.registration.verdict.verify import (
-    VerifyOptions,
     Windows,
     apart_from,
     correlate_windows,
-    screening_step,
 )
+from planish.registration.verdict.window_sizes import VerifyOptions, area_mm2, screening_step
 from planish.rig import Camera
 
 
@@ -145,7 +143,7 @@ def weigh(
         # All candidates of a pair are weighed.
         return log10_of_product(by_matches, log10_by_windows(free)) + float(np.log10(max(1, len(coarse.candidates))))
 
-    T, exhaustive, every = candidate.T_a_b, np.inf, screening_step(a, options)
+    T, exhaustive, every = candidate.T_a_b, np.inf, screening_step(a.images, options)
     windows = correlate_windows(a, b, T, options, every)
     alarms = product(windows)
     # Of most pairs that do not overlap a part of the windows shows that nothing agrees.
@@ -153,7 +151,7 @@ def weigh(
         windows = windows if every == 1 else correlate_windows(a, b, T, options)
         alarms = product(windows)
         T, windows = _fitted(a, b, members, T, windows, options)
-        exhaustive = log10_by_windows(windows) + log10_transforms(_area_mm2(a.images, b.images), options.agree_mm)
+        exhaustive = _exhaustive(a, b, windows, options)
     alarms = float(min(alarms, exhaustive) + np.log10(2))
     if alarms >= 0:
         # No evidence: the consensus alone says how far from significance it is.
@@ -168,19 +166,21 @@ def weigh(
 _WORTH_A_LOOK = np.log10(0.2)
 
 
+def _exhaustive(a: Side, b: Side, windows: Windows, options: VerifyOptions) -> float:
+    """log10 of the false alarms of windows held against all transforms that could have been tried."""
+    area = max(area_mm2(a.images), area_mm2(b.images))
+    return log10_by_windows(windows) + log10_transforms(area, options.agree_mm)
+
+
 def as_hypothesis(a: Side, b: Side, T_a_b: Array, options: VerifyOptions) -> Hypothesis:
     """Return what the windows alone say about a transform that no match suggested."""
     windows = correlate_windows(a, b, T_a_b, options)
     T, windows = _fitted(a, b, None, T_a_b, windows, options)
-    alarms = log10_by_windows(windows) + log10_transforms(_area_mm2(a.images, b.images), options.agree_mm)
+    alarms = _exhaustive(a, b, windows, options)
     return Hypothesis(
         T, np.empty(0, np.int64), 0, np.empty((0, 3)), windows, alarms, alarms,
         _moved_px(a.measurement, b.measurement, None, windows),
     )  # fmt: skip
-
-
-def _area_mm2(*sides: tuple[TextureImage, ...]) -> float:
-    return float(max(sum(int(i.mask.sum()) * i.pitch_mm**2 for i in images) for images in sides))
 
 
 def _fitted(

@@ -23,7 +23,7 @@ from planish.registration.verdict.geometry import Sight, line_of_sight
 from planish.registration.verdict.hypothesis import Drift, Hypothesis, apart, as_hypothesis, weigh
 from planish.registration.verdict.repeats import rival_transforms
 from planish.registration.verdict.rivals import Rivalry, alike, compare
-from planish.registration.verdict.verify import VerifyOptions
+from planish.registration.verdict.window_sizes import VerifyOptions, for_areas
 
 
 class VerdictOptions(Options):
@@ -108,7 +108,8 @@ def judge_coarse(
     threads : int, optional
     """
     options = options or VerdictOptions()
-    case = _Case(a, b, matches, pairs_in_run, options, threads)
+    fitting = options.model_copy(update={"verify": for_areas(a.images, b.images, options.verify)})
+    case = _Case(a, b, matches, pairs_in_run, fitting, threads)
     found = case.hypotheses(coarse)
     if not found:
         return Verdict(_no_consensus(case, coarse), None, np.log10(pairs_in_run) + np.log10(max(coarse.places, 2) ** 2))
@@ -196,7 +197,7 @@ def _no_consensus(case: _Case, coarse: CoarseResult) -> Judgement:
     return Judgement(
         "refused",
         f"no consensus: no three of {coarse.places} matched places agree on a transform; "
-        + reasons.why_nothing(case.a.images, case.b.images),
+        + reasons.why_nothing(case.a.images, case.b.images, case.options.verify),
     )
 
 
@@ -206,7 +207,7 @@ def _not_significant(case: _Case, best: Hypothesis, coarse: CoarseResult) -> Jud
         f"consensus not significant: {best.places} of {coarse.places} matched places and {best.agreeing} of "
         f"{len(best.windows)} windows agree, which chance explains (10^{case.alarms(best):.1f} expected in this run, "
         f"at most 10^{case.options.max_log10_false_alarms:.0f} allowed); "
-        + reasons.why_nothing(case.a.images, case.b.images),
+        + reasons.why_nothing(case.a.images, case.b.images, case.options.verify),
     )
 
 

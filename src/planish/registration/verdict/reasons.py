@@ -10,18 +10,25 @@ from planish.registration.result import Direction, RunnerUp
 from planish.registration.texture.resample import TextureImage
 from planish.registration.texture.strength import texture_strength
 from planish.registration.verdict.hypothesis import Drift, Hypothesis
+from planish.registration.verdict.window_sizes import VerifyOptions, area_mm2, too_small
 
 #: Share of the texture's variance that is signal, above which a window of some 60 independent cells correlates by
 #: four standard deviations: 4 / sqrt(60) = 0.5.
 _ENOUGH_SIGNAL = 0.5
 
 
-def why_nothing(images_a: tuple[TextureImage, ...], images_b: tuple[TextureImage, ...]) -> str:
-    """Return which it is, no overlap or too little texture, as far as texture and noise say."""
+def why_nothing(images_a: tuple[TextureImage, ...], images_b: tuple[TextureImage, ...], options: VerifyOptions) -> str:
+    """Return which it is, no overlap or too little surface or texture, as far as area, texture and noise say."""
     strengths = [texture_strength(images) for images in (images_a, images_b)]
     (a, noise_a), (b, noise_b) = strengths
     if min(a, b) == 0:
         return "one of them shows no surface with texture at all: check exposure and mask"
+    smaller = min(images_a, images_b, key=area_mm2)
+    if too_small(smaller, options):
+        return (
+            f"one of them shows only {area_mm2(smaller) / 100:.1f} cm2 of surface, too little for an overlap of 30 % "
+            "to be found: check its exposure (pixels too bright or too dark are not measured), mask and volume"
+        )
     share = float(np.sqrt(max(0.0, 1 - (noise_a / a) ** 2) * max(0.0, 1 - (noise_b / b) ** 2)))
     figures = f"texture {100 * min(a, b):.2f} %, noise {100 * max(noise_a, noise_b):.2f} %"
     if share >= _ENOUGH_SIGNAL:

@@ -12,31 +12,15 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy import fft
 from scipy.spatial import cKDTree
 
 from planish.geometry import Array
 from planish.measurement import Map
-from planish.options import Options
-from planish.registration.texture.resample import TextureImage
 from planish.registration.texture.sampling import parabola_vertex, sample
 from planish.registration.verdict.aligned import Aligned, Side, align
 from planish.registration.verdict.together import Together
-
-
-class VerifyOptions(Options):
-    """Options of the verification."""
-
-    #: Edge of a window [mm].
-    window_mm: float = Field(default=10.0, gt=0)
-    #: A window is looked for this far around where it should be [mm].
-    search_mm: float = Field(default=4.0, gt=0)
-    #: It agrees if its peak lies this near to where it should be [mm]; less would ask more of a coarse transform than
-    #: it holds at the rim of the common region.
-    agree_mm: float = Field(default=1.0, gt=0)
-    #: Surfaces farther apart than this under a coarse transform do not belong together [mm].
-    gate_mm: float = Field(default=3.0, gt=0)
+from planish.registration.verdict.window_sizes import VerifyOptions, size_px
 
 
 @dataclass(frozen=True)
@@ -104,7 +88,7 @@ def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | N
     Of the grid of windows, every so many along both axes are looked at.
     """
     options = options or VerifyOptions()
-    window, search = _size_px(a.images, options)
+    window, search = size_px(a.images, options)
     pitch = a.images[0].pitch_mm if a.images else 1.0
     rows = np.arange(2 * search + 1) - search
     near = (rows[:, None] ** 2 + rows[None, :] ** 2 <= (options.agree_mm / pitch) ** 2).ravel()
@@ -128,16 +112,6 @@ def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | N
         cell, points, pixels_a, pixels_b, found_b, offset_px * pitch, flat[:, near].max(1), near[peak],
         float(near.mean()), richness, Together.of(surface, unrelated, near),
     )  # fmt: skip
-
-
-def screening_step(a: Side, options: VerifyOptions) -> int:
-    """Return `every` of `correlate_windows` that leaves some hundreds of windows: enough to see whether any agree."""
-    total = sum(int(image.mask.sum()) for image in a.images) / _size_px(a.images, options)[0] ** 2
-    return max(1, round(float(np.sqrt(total / _SCREENED))))
-
-
-#: Windows on a when a transform is screened.
-_SCREENED = 200
 
 
 def _no_windows(near: NDArray[np.bool_]) -> Windows:
@@ -183,14 +157,6 @@ def _places(
 _CELLS = 100000
 
 
-def _size_px(images: tuple[TextureImage, ...], options: VerifyOptions) -> tuple[int, int]:
-    """Edge of a window and reach of the search [texture px]."""
-    if not images:
-        return 1, 1
-    pitch = images[0].pitch_mm
-    return max(4, round(options.window_mm / pitch)), max(2, round(options.search_mm / pitch))
-
-
 @dataclass(frozen=True)
 class _Cut:
     """Windows (n, N, N) of a (0 outside the window itself) and b, the noise variance, the middle (row, column)."""
@@ -208,7 +174,7 @@ _KNOWN = 0.8
 
 
 def _cut(chart: Aligned, options: VerifyOptions, every: int) -> _Cut:
-    window, search = _size_px((chart.image,), options)
+    window, search = size_px((chart.image,), options)
     size = window + 2 * search
     height, width = chart.common.shape
     rows, columns = (np.arange(search, n - window - search + 1, every * window) for n in (height, width))
