@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from planish.execution.recent import Recent
-from planish.pipeline.schedule import blocks, kept_in
+from planish.pipeline.schedule import blocks, kept_in, preparations
 
 #: Preparations against the least possible, which is reached where a front of neighbours fits into memory; where it does
 #: not, what lies along the seams of strips is prepared twice.
@@ -46,8 +46,8 @@ def ordered(pairs, kept, there=()):
     return [pair for block in blocks(pairs, 1, kept, there=there) for pair in block]
 
 
-def preparations(order, kept, there=()):
-    """How often a process that keeps so many measurements prepares one."""
+def prepared(order, kept, there=()):
+    """How often a process that keeps so many measurements prepares one, by what keeps them."""
     recent, made = Recent(10**9, max_number=kept), []
     for name in there:
         recent.get(name, lambda: None)
@@ -79,29 +79,38 @@ def test_every_pair_is_tried_once(name, kept):
     ("name", "kept"), [("panel", 63), ("small panel", 16), ("ring", 8), ("all pairs", 63), ("random", 401)]
 )
 def test_each_measurement_is_prepared_once_where_a_front_of_neighbours_fits_into_memory(name, kept):
-    assert preparations(ordered(GRAPHS[name], kept), kept) == least(GRAPHS[name], kept)
+    assert prepared(ordered(GRAPHS[name], kept), kept) == least(GRAPHS[name], kept)
 
 
 @pytest.mark.parametrize("kept", [3, 8, 20])
 @pytest.mark.parametrize("name", ["panel", "small panel", "ring"])
 def test_few_are_prepared_again_where_it_does_not_fit(name, kept):
-    assert preparations(ordered(GRAPHS[name], kept), kept) < SEAMS * least(GRAPHS[name], kept)
+    assert prepared(ordered(GRAPHS[name], kept), kept) < SEAMS * least(GRAPHS[name], kept)
 
 
 @pytest.mark.parametrize("kept", [3, 8, 20, 63])
 def test_pairs_without_any_neighbourhood_cost_less_than_one_preparation_each(kept):
-    count = preparations(ordered(GRAPHS["random"], kept), kept)
+    count = prepared(ordered(GRAPHS["random"], kept), kept)
     assert count < NO_NEIGHBOURHOOD * least(GRAPHS["random"], kept)
     assert count < len(GRAPHS["random"])
 
 
-def test_what_is_kept_already_is_used_first():
-    names = sorted({name for pair in GRAPHS["small panel"] for name in pair})
-    there = names[-12:]
-    order = ordered(GRAPHS["small panel"], 12, there)
-    assert preparations(order, 12, there) <= 12 + len(names) - 6
+def test_what_is_kept_already_saves_preparations_where_it_lies_together_and_costs_none_where_it_does_not():
+    pairs = GRAPHS["panel"]
+    before = ordered(pairs, 63)[-200:]
+    together = list(dict.fromkeys(name for pair in reversed(before) for name in pair))[:40][::-1]
+    scattered = sorted({name for pair in pairs for name in pair})[-40:]
+    assert prepared(ordered(pairs, 63, together), 63, together) <= 1000 - 40
+    assert prepared(ordered(pairs, 63, scattered), 63, scattered) <= 1000
     # Those of another run are no part of it.
-    assert ordered(GRAPHS["small panel"], 12, ["other"]) == ordered(GRAPHS["small panel"], 12)
+    assert ordered(pairs, 63, ["other"]) == ordered(pairs, 63)
+
+
+@pytest.mark.parametrize("kept", [2, 3, 8])
+def test_the_count_in_thought_is_that_of_what_is_kept(kept):
+    there = ["m0003", "m0001"]
+    order = ordered(GRAPHS["small panel"], kept, there)
+    assert preparations(order, kept, there) == prepared(order, kept, there)
 
 
 def test_blocks_are_small_enough_for_all_workers_and_neighbours_stay_together():
@@ -112,8 +121,9 @@ def test_blocks_are_small_enough_for_all_workers_and_neighbours_stay_together():
     assert blocks([], 2, 3) == []
 
 
-def test_so_many_are_kept_as_memory_holds_beside_the_one_in_the_making():
-    assert kept_in(2**30, 64, [78_000_000] * 3) == 2
-    assert kept_in(6 * 2**30, 64, [78_000_000] * 30) == 19
+def test_so_many_are_kept_as_memory_holds():
+    assert kept_in(2**30, 64, [78_000_000] * 3) == 3
+    assert kept_in(2**30, 64, [300_000_000] * 3) == 2  # a pair has two
+    assert kept_in(6 * 2**30, 64, [78_000_000] * 30) == 20
     assert kept_in(6 * 2**30, 64, [3_000_000] * 30) == 63
     assert kept_in(2**30, 64, []) == 63

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from networks.drawn import panel
-from planish.execution.recent import Recent
-from planish.pipeline.schedule import Pair, blocks
+from planish.pipeline.schedule import Pair, blocks, preparations
 
 #: Measurements that a process keeps: a worker and a machine of 24 GiB at full resolution, any process at a low one.
 KEPT = (3, 20, 63)
@@ -36,15 +35,6 @@ def graphs() -> dict[str, list[Pair]]:
         "400 with 4 partners each by lot": named(rng.integers(0, 400, (800, 2)).tolist()),
         "all pairs of 40": named(combinations(range(40), 2)),
     }
-
-
-def preparations(order: list[Pair], kept: int) -> int:
-    """Return how often a process that keeps so many measurements prepares one."""
-    recent, made = Recent(10**9, max_number=kept), []
-    for pair in order:
-        for name in pair:
-            recent.get(name, lambda name=name: made.append(name))  # type: ignore[misc]
-    return len(made)
 
 
 def orders() -> list[dict[str, Any]]:

@@ -16,9 +16,10 @@ _BLOCKS_PER_SLOT = 4
 
 
 def kept_in(max_bytes: int, max_number: int, file_bytes: Sequence[int]) -> int:
-    """Return how many measurements with files of these sizes a process keeps ready, beside one in the making."""
+    """Return how many measurements with files of these sizes a process keeps ready, the one in the making included."""
     mean = sum(file_bytes) / max(1, len(file_bytes))
-    return max(2, min(max_number, int(max_bytes / max(1.0, _BYTES_PER_FILE_BYTE * mean))) - 1)
+    # The pattern of their sensor is kept beside them.
+    return max(2, min(max_number - 1, int(max_bytes / max(1.0, _BYTES_PER_FILE_BYTE * mean))))
 
 
 def blocks(
@@ -40,10 +41,25 @@ def blocks(
         Measurements that are kept already, those used last at the end.
     """
     recent = list(there)
-    walks = [Walk(pairs, kept, recent).go(rule) for rule in (most_pairs_first, oldest_first)]
-    ordered = min(walks, key=lambda walk: walk.prepared).ordered
+    # From what is kept already, or from a rim: those kept may lie anywhere, and many fronts are longer than one.
+    starts = [recent, []] if recent else [[]]
+    orders = [Walk(pairs, kept, start).go(rule) for start in starts for rule in (most_pairs_first, oldest_first)]
+    ordered = min(orders, key=lambda order: preparations(order, kept, recent))
     size = max(1, min(most, len(ordered) // (_BLOCKS_PER_SLOT * slots)))
     return [ordered[i : i + size] for i in range(0, len(ordered), size)]
+
+
+def preparations(order: Iterable[Pair], kept: int, there: Iterable[str] = ()) -> int:
+    """Return how often a process prepares a measurement that keeps so many and has those of `there` already."""
+    recent, count = OrderedDict.fromkeys(there), 0
+    for pair in order:
+        for name in pair:
+            count += name not in recent
+            recent[name] = None
+            recent.move_to_end(name)
+            if len(recent) > kept:
+                recent.popitem(last=False)
+    return count
 
 
 class Walk:
@@ -63,15 +79,13 @@ class Walk:
         self.kept: OrderedDict[str, None] = OrderedDict()
         #: Per measurement that is not kept how many of its pairs are with kept ones.
         self.touching: dict[str, int] = {}
-        self.ordered: list[Pair] = []
-        #: How often a measurement was prepared.
-        self.prepared = 0
+        self._ordered: list[Pair] = []
         for name in there:
             if name in self.left:
                 self._keep(name)
 
-    def go(self, rule: Callable[[Walk], str]) -> Walk:
-        """Go through all pairs, by a rule for the next measurement where some touch those kept; return the walk."""
+    def go(self, rule: Callable[[Walk], str]) -> list[Pair]:
+        """Return all pairs in their order, by a rule for the next measurement where some touch those kept."""
         for name in list(self.kept):
             self._take_pairs_of(name)
         # Where a part of the pairs begins: at its rim, which has the fewest.
@@ -82,15 +96,23 @@ class Walk:
             while starts and not self.left[starts[-1]]:
                 starts.pop()
             if not starts:
-                return self
-            name = rule(self) if self.touching else starts[-1]
-            self.prepared += 1
+                return self._ordered
+            name = rule(self) if self.touching else self._far_from(self._far_from(starts[-1]))
             self._keep(name)
             self._take_pairs_of(name)
 
     def best(self, names: Iterable[str]) -> str:
         """Return the one with the most pairs with those kept, the fewest left beyond."""
         return min(names, key=lambda name: (-self.touching[name], len(self.left[name]), name))
+
+    def _far_from(self, start: str) -> str:
+        """Return one at the other end of what is connected: from there the front is shorter than from the middle."""
+        seen, level = {start}, [start]
+        while level:
+            last = level
+            level = sorted({other for name in level for other in self.left[name]} - seen)
+            seen.update(level)
+        return min(last, key=lambda name: (len(self.left[name]), name))
 
     def _keep(self, name: str) -> None:
         self.touching.pop(name, None)
@@ -113,7 +135,7 @@ class Walk:
         for other in mates:
             pair = self.left[name].pop(other)
             del self.left[other][name]
-            self.ordered.append(pair)
+            self._ordered.append(pair)
             for end in pair:
                 self.kept.move_to_end(end)
 

@@ -93,7 +93,7 @@ def _split(
     groups = find_groups(names, pairs)
     group_of = {name: number for number, group in enumerate(groups) for name in group}
     inside: list[list[PairResult]] = [[] for _ in groups]
-    between = []
+    between: list[PairResult] = []
     for pair in _in_order(pairs):
         number = group_of[pair.a]
         (inside[number] if group_of[pair.b] == number else between).append(pair)
