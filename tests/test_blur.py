@@ -27,7 +27,11 @@ def derivatives(f):
     first = (f(h, 0) - f(-h, 0)) / (2 * h), (f(0, h) - f(0, -h)) / (2 * h)
     second = (f(h, 0) - 2 * f(0, 0) + f(-h, 0)) / h**2, (f(0, h) - 2 * f(0, 0) + f(0, -h)) / h**2
     mixed = (f(h, h) - f(h, -h) - f(-h, h) + f(-h, -h)) / (4 * h * h)
-    return np.array([[f(0, 0), *first, second[0], mixed, second[1]]])
+    return np.array([f(0, 0), *first, second[0], mixed, second[1]])[:, None]
+
+
+def one_place(c):
+    return np.array(c)[:, None]
 
 
 def shift(c, light):
@@ -39,14 +43,15 @@ def test_the_shift_is_the_difference_of_both_cameras_shifts_each_in_its_own_pixe
         return derivatives(lambda u, v: quadratic(c, quadratic(U_B, u, v) - 3, quadratic(V_B, u, v) - 5))
 
     phase, light = seen_by_a(PHASE_B), seen_by_a(LIGHT_B)
-    found = _phase_shifts(np.array([U_B]), np.array([V_B]), phase, light)
-    assert found[0] == pytest.approx(shift(phase[0], light[0]) - shift(PHASE_B, LIGHT_B), abs=1e-7)
+    found, slope = _phase_shifts(one_place(U_B), one_place(V_B), phase, light)
+    assert found[0] == pytest.approx(shift(phase[:, 0], light[:, 0]) - shift(PHASE_B, LIGHT_B), abs=1e-7)
     assert abs(found[0]) > 1e-3
+    np.testing.assert_allclose(np.ravel(slope), PHASE_B[1:3], atol=1e-7)
 
 
 def test_cameras_that_see_alike_are_shifted_alike():
-    u, v = np.array([[7.0, 1, 0, 0, 0, 0]]), np.array([[9.0, 0, 1, 0, 0, 0]])
-    assert _phase_shifts(u, v, np.array([PHASE_B]), np.array([LIGHT_B]))[0] == pytest.approx(0, abs=1e-12)
+    u, v = one_place((7.0, 1, 0, 0, 0, 0)), one_place((9.0, 0, 1, 0, 0, 0))
+    assert _phase_shifts(u, v, one_place(PHASE_B), one_place(LIGHT_B))[0] == pytest.approx(0, abs=1e-12)
 
 
 def test_the_fit_of_a_quadratic_field_is_exact_at_a_rim_too():
@@ -57,8 +62,8 @@ def test_the_fit_of_a_quadratic_field_is_exact_at_a_rim_too():
     (found,), enough = _quadratic_fits([field], known, np.array([30, 30]), np.array([40, 22]))
     assert enough.all()
     # float32 sums over a window of 13 px.
-    np.testing.assert_allclose(found[0, 1:], U_B[1:], atol=2e-5)
-    np.testing.assert_allclose(found[1, 3:], U_B[3:], atol=2e-4)
+    np.testing.assert_allclose(found[1:, 0], U_B[1:], atol=2e-5)
+    np.testing.assert_allclose(found[3:, 1], U_B[3:], atol=2e-4)
 
 
 def test_a_square_of_pixels_with_an_unknown_one_is_unknown():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from given_surface import GivenSurface
 from planish.geometry import compose, exp_so3, invert, transform_points
 from planish.registration.consensus import Search, find_consensus
 from planish.registration.dense.develop import Development
@@ -53,7 +54,8 @@ def view(part, angle, centre, contrast, seed, pattern=0.0, cylinder_mm=None):
         x_axis = c * np.dstack([cosine, 0 * x, sine]) + s * np.array([0.0, 1.0, 0.0])
     points, normals, x_axis = (np.broadcast_to(m, (*SIZE, 3)).astype(np.float32) for m in (points, normals, x_axis))
     everywhere = np.ones(SIZE, bool)
-    picture = TextureImage(PITCH, value, np.ones_like(value), everywhere, points, normals, x_axis, source)
+    surface = GivenSurface(points, normals, x_axis)
+    picture = TextureImage(PITCH, value, np.ones_like(value), everywhere, source, surface)
     T = np.eye(4)
     T[:2, :2], T[:2, 3] = R, shift * PITCH
     development = Development(picture, 1, value, noise, everywhere, source)
@@ -63,9 +65,9 @@ def view(part, angle, centre, contrast, seed, pattern=0.0, cylinder_mm=None):
 def moved(texture, T):
     """The same piece of surface as another sensor frame has it."""
     picture, turn = texture.development.image, np.float32(T[:3, :3].T)
-    points = np.asarray(transform_points(T, picture.points_sensor), np.float32)
-    normals, x_axis = picture.normals_sensor @ turn, picture.x_axis_sensor @ turn
-    picture = replace(picture, points_sensor=points, normals_sensor=normals, x_axis_sensor=x_axis)
+    points = np.asarray(transform_points(T, picture.surface.points_sensor), np.float32)
+    normals, x_axis = picture.surface.normals_sensor @ turn, picture.surface.x_axis_sensor @ turn
+    picture = replace(picture, surface=GivenSurface(points, normals, x_axis))
     return replace(texture, development=replace(texture.development, image=picture))
 
 
@@ -79,9 +81,9 @@ def found(a, b):
 
 def error_mm(T, T_true, a, b):
     """Rms error over those points of b that truly lie on a."""
-    p = b.development.image.points_sensor.reshape(-1, 3)[::97].astype(float)
+    p = b.development.image.surface.points_sensor.reshape(-1, 3)[::97].astype(float)
     true = transform_points(T_true, p)
-    common = cKDTree(a.development.image.points_sensor.reshape(-1, 3)).query(true)[0] < PITCH
+    common = cKDTree(a.development.image.surface.points_sensor.reshape(-1, 3)).query(true)[0] < PITCH
     return float(np.sqrt(((transform_points(T, p) - true) ** 2).sum(1)[common].mean()))
 
 

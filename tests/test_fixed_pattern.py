@@ -105,6 +105,13 @@ def test_the_response_of_the_pixels_is_found_as_well_as_noise_and_texture_allow(
         assert left_of_the_response(pattern, camera) < LOSS * optimum
 
 
+def test_the_pattern_of_a_camera_is_the_same_where_the_organising_one_serves_no_texture():
+    taken = [capture(i) for i in range(2)]
+    both = estimate_fixed_patterns(taken)["m00"].cameras["B"].estimate()
+    alone = estimate_fixed_patterns([replace(m, texture_views=("B",)) for m in taken])["m00"].cameras["B"].estimate()
+    np.testing.assert_array_equal(alone, both)
+
+
 def test_the_stated_uncertainty_of_the_pattern_is_its_error():
     pattern = estimate_fixed_patterns([capture(i) for i in range(6)])["m00"].cameras["A"]
     estimate, sigma = pattern.estimate()

@@ -11,6 +11,7 @@ import pytest
 import matched
 import sheets
 import synthetic
+from given_surface import GivenSurface
 from planish.geometry import transform_points
 from planish.registration.keypoints.blobs import Blobs, smooth_texture, spread_evenly
 from planish.registration.keypoints.detect import KeypointOptions, detect_keypoints
@@ -115,8 +116,8 @@ def flat(value, sigma, mask=None):
     points = np.dstack([0.5 * source * np.float32([1, -1]), np.zeros((h, w), np.float32)])
     normal, x_axis = (np.broadcast_to(np.array(v, np.float32), (h, w, 3)).copy() for v in ((0, 0, 1), (1, 0, 0)))
     return TextureImage(
-        0.5, np.where(mask, value, 0).astype(np.float32), np.full((h, w), sigma, np.float32), mask, points, normal,
-        x_axis, source,
+        0.5, np.where(mask, value, 0).astype(np.float32), np.full((h, w), sigma, np.float32), mask, source,
+        GivenSurface(points, normal, x_axis),
     )  # fmt: skip
 
 

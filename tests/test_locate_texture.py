@@ -24,7 +24,7 @@ def prepared():
 
 def located(image, own, b, T_a_b, threads=2):
     return _core.locate_texture(
-        np.ascontiguousarray(image.points_sensor), np.ascontiguousarray(image.normals_sensor), own.view(np.uint8),
+        image.source_px, own.view(np.uint8), image.surface.points_sensor, image.surface.normals_sensor,
         b.camera.kernel_parameters, b.points_sensor, invert(T_a_b), GATE_MM, threads,
     )  # fmt: skip
 
@@ -47,7 +47,8 @@ def test_pixels_lie_where_the_twin_finds_them(prepared):
 
 def test_a_surface_seen_from_behind_is_not_seen(prepared):
     a, b = prepared
-    image = replace(a.images[0], normals_sensor=-a.images[0].normals_sensor)
+    surface = a.images[0].surface
+    image = replace(a.images[0], surface=replace(surface, normals_sensor=-surface.normals_sensor))
     assert np.isnan(located(image, image.mask, b.measurement, sheets.T_TRUE)).all()
 
 

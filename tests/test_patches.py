@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import sheets
+from given_surface import GivenSurface
 from planish import _core
 from planish.geometry import transform_points
 from planish.registration.match.descriptors import nearest_neighbours
@@ -101,7 +102,7 @@ def image(value, sigma=0.01, mask=None):
     sigma = np.broadcast_to(np.float32(sigma), value.shape).copy()
     value = np.where(mask, value, 0).astype(np.float32)
     source = np.zeros((*value.shape, 2), np.float32)
-    return TextureImage(1.0, value, sigma, mask, space, space, space, source)
+    return TextureImage(1.0, value, sigma, mask, source, GivenSurface(space, space, space))
 
 
 def unrelated(whitened):

@@ -34,12 +34,15 @@ nb::tuple chart_coordinates(const In<float, 3>& points, const In<float, 3>& node
                             int threads) {
     const auto image = view<float, 3>(points);
     Owned<float> coordinates(image.height, image.width, 2);
+    Owned<std::uint8_t> known(image.height, image.width, 1);
     planish::ChartExtent extent{};
     {
         nb::gil_scoped_release release;
-        extent = planish::chart_coordinates(image, view<float, 3>(nodes), step, max_height, coordinates.image, threads);
+        extent = planish::chart_coordinates(image, view<float, 3>(nodes), step, max_height, coordinates.image,
+                                            known.image, threads);
     }
-    return nb::make_tuple(coordinates.maps(), nb::make_tuple(extent.left, extent.top, extent.right, extent.bottom));
+    return nb::make_tuple(coordinates.maps(), known.map(),
+                          nb::make_tuple(extent.left, extent.top, extent.right, extent.bottom));
 }
 
 nb::tuple chart_surface(const In<float, 3>& source, const In<float, 3>& points, const In<float, 3>& normals,
@@ -286,13 +289,14 @@ Out<double, 2> align_patches(const nb::list& charts_a, const In<double, 2>& plac
 }
 
 /// See planish::locate_texture.
-Out<float, 3> locate_texture(const In<float, 3>& points_a, const In<float, 3>& normals_a,
-                             const In<std::uint8_t, 2>& own, const In<double, 1>& camera_b,
-                             const In<float, 3>& points_b, const In<double, 2>& T_b_a, double gate, int threads) {
-    const planish::TextureSurface a{view<float, 3>(points_a), view<float, 3>(normals_a), view<std::uint8_t, 2>(own)};
+Out<float, 3> locate_texture(const In<float, 3>& places, const In<std::uint8_t, 2>& own, const In<float, 3>& points_a,
+                             const In<float, 3>& normals_a, const In<double, 1>& camera_b, const In<float, 3>& points_b,
+                             const In<double, 2>& T_b_a, double gate, int threads) {
+    const planish::TextureSurface a{view<float, 3>(places), view<std::uint8_t, 2>(own), view<float, 3>(points_a),
+                                    view<float, 3>(normals_a)};
     const auto camera = camera_from(camera_b);
     const Rigid T(T_b_a);
-    Owned<float> source(a.points.height, a.points.width, 2);
+    Owned<float> source(a.places.height, a.places.width, 2);
     {
         nb::gil_scoped_release release;
         planish::locate_texture(a, camera, view<float, 3>(points_b), T.R, T.t, gate, threads, source.image);
@@ -316,8 +320,8 @@ void bind_registration(nb::module_& m) {
           "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
           "options"_a, "weights"_a, "with_residuals"_a, "threads"_a);
-    m.def("locate_texture", &locate_texture, "points_a"_a, "normals_a"_a, "own"_a, "camera_b"_a, "points_b"_a,
-          "T_b_a"_a, "gate"_a, "threads"_a);
+    m.def("locate_texture", &locate_texture, "places"_a, "own"_a, "points_a"_a, "normals_a"_a, "camera_b"_a,
+          "points_b"_a, "T_b_a"_a, "gate"_a, "threads"_a);
     m.def("joint_values", &joint_values, "maps"_a, "centre"_a, "blur"_a, "blur_sigma"_a, "spacing"_a, "threads"_a);
     m.def("joint_pull", &joint_pull, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a, "options"_a,
           "weights"_a, "threads"_a);

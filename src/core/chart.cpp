@@ -7,6 +7,7 @@
 #include <limits>
 #include <vector>
 
+#include "core/between_pixels.hpp"
 #include "core/parallel.hpp"
 #include "core/range.hpp"
 
@@ -71,11 +72,10 @@ struct Places {
 
   private:
     void split(const float* __restrict at, int axis, int count, int* __restrict index, float* __restrict share) const {
-        const auto last = static_cast<float>(std::max(0, count - 2));
         for (std::size_t x = 0; x < row.size(); ++x) {
-            const float place = at[2 * x + axis], held = place > 0.0F ? place : 0.0F;
-            index[x] = static_cast<int>(held < last ? held : last);
-            share[x] = place - static_cast<float>(index[x]);
+            const PixelShare found(at[2 * x + axis], count);
+            index[x] = found.index;
+            share[x] = found.share;
         }
     }
     void part(const float* __restrict at, int axis, int step, int count, int* __restrict index,
@@ -90,20 +90,6 @@ struct Places {
         }
     }
 };
-
-/// Linear interpolation of a map (H, W, 3) in the first three of four values.
-Eigen::Array4f bilinear(const Image<const float>& map, int row, int column, float fu, float fv) {
-    const float* corner = map.at(row, column);
-    const int right = column + 1 < map.width ? 3 : 0, below = row + 1 < map.height ? 3 * map.width : 0;
-    // Nothing lies behind the last pixel.
-    const bool last = row + 2 >= map.height && column + 2 >= map.width;
-    const auto at = [&](int offset) -> Eigen::Array4f {
-        const float* p = corner + offset;
-        if (last) return {p[0], p[1], p[2], 0.0F};
-        return Eigen::Map<const Eigen::Array4f>(p);
-    };
-    return (1 - fv) * ((1 - fu) * at(0) + fu * at(right)) + fv * ((1 - fu) * at(below) + fu * at(below + right));
-}
 
 /// The blend of the four nodes around the pixels of one row between two columns of nodes: sums of the weighted values,
 /// linear in the weight of the second column.
@@ -143,6 +129,10 @@ void place_row(const RowBlend& blend, const Between* columns, const float* __res
     }
 }
 
+void mark_known(const float* __restrict points, int count, std::uint8_t* __restrict known) {
+    for (int u = 0; u < count; ++u) known[u] = points[3 * u + 2] == points[3 * u + 2] ? 1 : 0;  // false for NaN
+}
+
 /// Makes normals unit vectors, and axes unit tangents.
 void normalise(float* __restrict normals, float* __restrict axes, int count) {
     for (int i = 0; i < 3 * count; i += 3) {
@@ -161,7 +151,8 @@ void normalise(float* __restrict normals, float* __restrict axes, int count) {
 }  // namespace
 
 ChartExtent chart_coordinates(const Image<const float>& points, const Image<const float>& nodes, int step,
-                              double max_height, const Image<float>& coordinates, int threads) {
+                              double max_height, const Image<float>& coordinates, const Image<std::uint8_t>& known,
+                              int threads) {
     constexpr float far = std::numeric_limits<float>::infinity();
     std::vector<Between> columns(points.width);
     for (int u = 0; u < points.width; ++u) columns[u] = between(static_cast<float>(u), step, nodes.width);
@@ -179,6 +170,7 @@ ChartExtent chart_coordinates(const Image<const float>& points, const Image<cons
                           coordinates.at(v, u));
                 u = end;
             }
+            mark_known(points.row(v), points.width, known.row(v));
             for (std::size_t k = 0; k < 2; ++k) {
                 const float* out = coordinates.row(v) + k;
                 for (int u = 0; u < points.width; ++u) line[u] = out[2 * u];
@@ -211,8 +203,8 @@ void chart_surface(const Image<const float>& source, const Image<const float>& p
                     continue;
                 }
                 const float fu = places.across[x], fv = places.down[x];
-                to_point = bilinear(points, places.row[x], places.column[x], fu, fv);
-                to_normal = bilinear(normals, places.row[x], places.column[x], fu, fv);
+                to_point = between_pixels(points, places.row[x], places.column[x], fu, fv);
+                to_normal = between_pixels(normals, places.row[x], places.column[x], fu, fv);
                 to_axis =
                     blend(nodes, places.node_row[x], places.node_column[x], places.node_down[x], places.node_across[x]);
             }

@@ -1,5 +1,7 @@
 #pragma once
 
+#include <cstdint>
+
 #include "core/image.hpp"
 
 namespace planish {
@@ -14,9 +16,10 @@ struct ChartExtent {
 /// `nodes` (rows, columns, 13) holds, every `step` pixels from pixel (step / 2, step / 2) on: 1 (0 = no node), the axes
 /// x, y and normal, and three offsets, so that a point X nearby lies at axes X + offsets = (x, y, height). A pixel
 /// takes the weighted mean of the four nodes around it. Points higher than `max_height` above or below that are not of
-/// this surface.
+/// this surface. `known` (H, W) takes 1 where there is a point of any surface.
 ChartExtent chart_coordinates(const Image<const float>& points, const Image<const float>& nodes, int step,
-                              double max_height, const Image<float>& coordinates, int threads);
+                              double max_height, const Image<float>& coordinates, const Image<std::uint8_t>& known,
+                              int threads);
 
 /// A raster over an unrolled surface: pixel (column, row) has its centre at origin + (column, row) * pitch [mm].
 struct ChartRaster {

@@ -17,18 +17,28 @@ struct Exposed {
 /// Sum and number of the pixels that count over blocks of `factor` x `factor` pixels, those at the rim smaller.
 void block_sums(const Exposed& exposed, int factor, int threads, const Image<float>& sum, const Image<float>& count);
 
-/// What the low-pass over blocks says of the images of one camera, each (h, w), K images in the order of `Exposed`.
+/// What the low-pass over blocks says of the images of one camera, each (h, w), one to three images in the order of
+/// `Exposed`.
 struct ContrastPlan {
-    std::vector<Image<const float>> inverse_level;  ///< 1 / expected grey value, interpolated between block centres
-    std::vector<Image<const float>> weight;         ///< of the image's contrast, constant over a block; 0 = unknown
-    std::vector<Image<const float>> noise;  ///< K x K: covariance of the contrasts' noise, constant over a block
+    std::vector<Image<const float>> level;     ///< expected grey value; NaN where unknown
+    std::vector<Image<const float>> variance;  ///< of the noise of the image's contrast; NaN where unknown
+    Image<const float> covariance = {};        ///< of the noise of the first and the last image; empty if there is none
+    float noise_left = 1;                      ///< share of the noise that the low-pass does not take with it
     int factor = 1;
     float limit = 1;  ///< contrasts are clipped here
 };
 
-/// Weighted mean of the contrasts I / level - 1 of all images that count in a pixel, and its variance; NaN where none.
+/// One camera's contrast: value and variance (H, W), NaN where no image counts, and the weight (h, w) of the first
+/// image among all, 0 where it is unknown.
+struct CameraContrast {
+    Image<float> value, variance, first_weight;
+};
+
+/// Mean of the contrasts I / level - 1 of all images that count in a pixel, and its variance. Weights, constant over a
+/// block, are those of the least variance, C^-1 1 for the covariance C of the images' noise; levels are interpolated
+/// between the centres of blocks.
 void camera_contrast(const std::vector<Exposed>& images, const ContrastPlan& plan, int threads,
-                     const Image<float>& value, const Image<float>& variance);
+                     const CameraContrast& out);
 
 /// One camera's contrast on its own grid; `level` (h, w) is the grey value that it is relative to.
 struct ContrastView {
@@ -36,11 +46,16 @@ struct ContrastView {
     int factor = 1;
 };
 
-/// The image (1 + value) level and its variance [grey levels], read at the places (H, W, 2) on the camera's own grid by
-/// cubic convolution, whose weights give the noise; without places at its own pixels. NaN where a place is none or its
-/// surroundings are not known.
-void compensated_image(const ContrastView& view, const Image<const float>& place, int height, int width, int threads,
-                       const Image<float>& image, const Image<float>& variance);
+/// An image (H, W), its variance, and sum and number (h, w) of its known pixels per block.
+struct CompensatedImage {
+    Image<float> image, variance, sum, count;
+};
+
+/// The image (1 + value) level and `gain` times its variance [grey levels], read at the places (H, W, 2) on the
+/// camera's own grid by cubic convolution, whose weights give the noise; without places at its own pixels. NaN where a
+/// place is none or its surroundings are not known. Only what `seen` (H, W) does not mark with 0 enters the sums.
+void compensated_image(const ContrastView& view, const Image<const float>& place,
+                       const Image<const unsigned char>& seen, float gain, int threads, const CompensatedImage& out);
 
 /// One camera's image on the organising grid.
 struct SeenImage {

@@ -65,31 +65,37 @@ struct Batch {
         values[variance].fill(1.0F);
         values[variance_texture].fill(1.0F);
     }
-    void add(const Meeting& m, const Eigen::Vector3d& about, const float* b, float texture_a, float texture_b) {
-        const Eigen::Vector3f from = (m.x - about).cast<float>();
+    void add(const Meeting& m, const float* b, float texture_a, float texture_b) {
         for (int i = 0; i < 3; ++i) {
-            values[lever + i][count] = from[i];
-            values[normal_a + i][count] = m.normal_a[i];
+            values[lever + i][count] = m.lever[i];
+            values[normal_a + i][count] = m.normal[i];
+            values[gradient_a + i][count] = m.gradient[i];
             values[normal_b + i][count] = b[joint::normal + i];
+            values[gradient_b + i][count] = b[joint::gradient + i];
         }
         values[Column::distance][count] = m.distance;
-        values[variance][count] = m.variance_distance + b[joint::variance_distance];
-        values[Column::blur][count] = b[joint::blur] - m.blur_a;
+        values[variance][count] = m.variance + b[joint::variance_distance];
+        values[Column::blur][count] = b[joint::blur] - m.gradient[3];
+        values[value_a][count] = texture_a;
+        values[value_b][count] = texture_b;
+        values[variance_texture][count] = m.normal[3] + b[joint::variance_texture];
         pixels[count] = {m.v, m.u};
-        const float both = m.variance_texture + b[joint::variance_texture];
-        const float all = texture_a + texture_b + both + m.gradient_a[0] + b[joint::gradient];
-        const bool known = all == all;
-        values[textured][count] = known ? 1.0F : 0.0F;
-        if (known) {
-            for (int i = 0; i < 3; ++i) {
-                values[gradient_a + i][count] = m.gradient_a[i];
-                values[gradient_b + i][count] = b[joint::gradient + i];
-            }
-            values[value_a][count] = texture_a;
-            values[value_b][count] = texture_b;
-            values[variance_texture][count] = both;
-        }
         ++count;
+    }
+    /// Marks where both textures are known, and puts zeros where they are not.
+    void mark_textured() {
+        const auto& v = values;
+        auto& known = values[textured];
+        for (int i = 0; i < kBatch; ++i) {
+            const float all =
+                v[value_a][i] + v[value_b][i] + v[variance_texture][i] + v[gradient_a][i] + v[gradient_b][i];
+            known[i] = all == all ? 1.0F : 0.0F;
+        }
+        for (const int column : {gradient_a + 0, gradient_a + 1, gradient_a + 2, gradient_b + 0, gradient_b + 1,
+                                 gradient_b + 2, value_a + 0, value_b + 0})
+            for (int i = 0; i < kBatch; ++i) values[column][i] = known[i] > 0 ? values[column][i] : 0.0F;
+        for (int i = 0; i < kBatch; ++i)
+            values[variance_texture][i] = known[i] > 0 ? values[variance_texture][i] : 1.0F;
     }
     [[nodiscard]] Lanes lanes(int column, int first) const { return Lanes::Map(&values[column][first]); }
     [[nodiscard]] Lanes3 vectors(int column, int first) const {
@@ -238,7 +244,7 @@ struct Problem : JointPair {
 
     void add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
                   std::array<double, 4>& sizes, Shading& shading, Batch& batch) const;
-    void add(const Batch& batch, const TileWeight* weights, TileSums& sums) const;
+    void add(Batch& batch, const TileWeight* weights, TileSums& sums) const;
     [[nodiscard]] Residuals compare_points(const Batch& batch, int first) const;
     [[nodiscard]] Residuals compare_textures(const Batch& batch, int first, const Lanes& there,
                                              const TileWeight& weight) const;
@@ -261,7 +267,7 @@ void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& 
             Meeting& m = found[turn][i];
             look_up(m);
             if (!(std::fabs(m.distance) <= o.max_distance)) continue;
-            batch.add(m, about, b.values.at(m.v, m.u), cubic(a.texture, m.at.x(), m.at.y()), *b.texture.at(m.v, m.u));
+            batch.add(m, b.values.at(m.v, m.u), cubic(a.texture, m.cell), *b.texture.at(m.v, m.u));
             met = true;
             if (batch.count < kBatch) continue;
             add(batch, weights, tile);
@@ -285,7 +291,8 @@ void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& 
     sums.correlation_bb += total(tile.correlation_bb);
 }
 
-void Problem::add(const Batch& batch, const TileWeight* weights, TileSums& sums) const {
+void Problem::add(Batch& batch, const TileWeight* weights, TileSums& sums) const {
+    batch.mark_textured();
     for (int first = 0; first < batch.count; first += kLanes) {
         const Lanes3 from = batch.vectors(lever, first);
         const Residuals distance = compare_points(batch, first);

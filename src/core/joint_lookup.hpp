@@ -6,6 +6,7 @@
 
 #include "core/joint.hpp"
 #include "core/moved_camera.hpp"
+#include "core/prefetch.hpp"
 
 namespace planish {
 
@@ -24,18 +25,15 @@ inline Influence tukey(float residual, float scale) {
     return y > 0 ? Influence{y * y, y * (1.0F - 5.0F * xx)} : Influence{0, 0};
 }
 
-inline Eigen::Vector3d vector_of(const float* pixel, int channel) {
-    return {pixel[channel], pixel[channel + 1], pixel[channel + 2]};
-}
-
 /// Four pixels around a place, and their weights in linear interpolation.
 struct Cell {
     int u = 0, v = 0;
+    float fx = 0, fy = 0;  ///< how far behind the first of them
     std::array<float, 4> w{};
 
     Cell() = default;
-    Cell(double x, double y) : u(static_cast<int>(x)), v(static_cast<int>(y)) {  // neither is negative
-        const auto fx = static_cast<float>(x - u), fy = static_cast<float>(y - v);
+    Cell(double x, double y)  // neither is negative
+        : u(static_cast<int>(x)), v(static_cast<int>(y)), fx(static_cast<float>(x - u)), fy(static_cast<float>(y - v)) {
         w = {(1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy};
     }
     /// The four pixels' first channel, in the order of the weights.
@@ -46,22 +44,21 @@ struct Cell {
 };
 
 /// Weights of cubic convolution (Keys 1981, a = -1/2) for a place the fraction f behind the second of four pixels.
-inline std::array<float, 4> cubic_weights(float f) {
-    const float f2 = f * f, f3 = f2 * f;
-    return {-0.5F * f3 + f2 - 0.5F * f, 1.5F * f3 - 2.5F * f2 + 1.0F, -1.5F * f3 + 2.0F * f2 + 0.5F * f,
-            0.5F * f3 - 0.5F * f2};
+inline Eigen::Array4f cubic_weights(float f) {
+    const Eigen::Array4f once(-0.5F, 0.0F, 0.5F, 0.0F), twice(1.0F, -2.5F, 2.0F, -0.5F),
+        thrice(-0.5F, 1.5F, -1.5F, 0.5F), second(0.0F, 1.0F, 0.0F, 0.0F);
+    return ((thrice * f + twice) * f + once) * f + second;
 }
 
 /// Cubic convolution; NaN where one of the 16 values is.
-inline float cubic(const Image<const float>& map, double x, double y) {
-    const int u = static_cast<int>(x), v = static_cast<int>(y);
-    const auto wx = cubic_weights(static_cast<float>(x - u)), wy = cubic_weights(static_cast<float>(y - v));
-    std::array<float, 4> along{};
-    for (int j = 0; j < 4; ++j) {
-        const float* p = map.at(v - 1 + j, u - 1);
-        for (int i = 0; i < 4; ++i) along[i] += wy[j] * p[i];
-    }
-    return along[0] * wx[0] + along[1] * wx[1] + along[2] * wx[2] + along[3] * wx[3];
+inline float cubic(const Image<const float>& map, const Cell& cell) {
+    using Four = Eigen::Array4f;
+    const Four wx = cubic_weights(cell.fx), wy = cubic_weights(cell.fy);
+    const auto step = static_cast<std::ptrdiff_t>(map.width);
+    const float* p = map.at(cell.v - 1, cell.u - 1);
+    const Four along = wy[0] * Four::Map(p) + wy[1] * Four::Map(p + step) + wy[2] * Four::Map(p + 2 * step) +
+                       wy[3] * Four::Map(p + 3 * step);
+    return (along * wx).sum();
 }
 
 using Row6 = std::array<float, 8>;  ///< six numbers, filled up to what one instruction takes
@@ -77,27 +74,16 @@ inline Row6 jacobian(const Eigen::Vector3f& lever, const Eigen::Vector3f& direct
             0};
 }
 
-/// Asks for what will be read soon.
-inline void prefetch([[maybe_unused]] const void* place) {
-#if defined(__GNUC__)
-    __builtin_prefetch(place);
-#endif
-}
-
 /// Where a pixel of b, moved into a, meets the surface of a.
 struct Meeting {
-    int v = 0, u = 0;              ///< the pixel of b
-    Eigen::Vector3d x, in_camera;  ///< the point of b, in frame a and in a's camera
-    Eigen::Array4f x_float;        ///< and 0
-    Eigen::Vector2d at;            ///< its pixel there
-    Cell cell;
-    Eigen::Vector3f normal_a, normal_b;  ///< in frame a
-    Eigen::Vector3f gradient_a;          ///< of a's texture
-    float variance_texture = 0;          ///< of a's texture
-    float variance_distance = 0;         ///< of a's points along the normal [mm^2]
-    float blur_a = 0;                    ///< displacement of a's surface by the blur [mm]
-    float distance = 0;                  ///< along a's normal [mm]
-    float sigma = 0;                     ///< its standard deviation [mm]
+    int v = 0, u = 0;         ///< the pixel of b
+    Cell cell;                ///< where it lies in a's image
+    Eigen::Array4f x;         ///< the point of b in frame a, and 0
+    Eigen::Array4f lever;     ///< the same from the point that rotations turn about
+    Eigen::Array4f normal;    ///< of a, and the variance of a's texture
+    Eigen::Array4f gradient;  ///< of a's texture, and the displacement of a's surface by the blur [mm]
+    float variance = 0;       ///< of a's points along the normal [mm^2]
+    float distance = 0;       ///< along a's normal [mm]
 };
 
 /// The next pixel of a window, row by row.
@@ -107,9 +93,7 @@ struct Cursor {
     Cursor(int top, int left_, int bottom_, int right_)
         : left(left_), right(right_), bottom(bottom_), v(top), u(left_) {}
     [[nodiscard]] bool done() const { return v >= bottom; }
-    void advance(int stride) {
-        u += stride;
-        if (u < right) return;
+    void next_row(int stride) {
         u = left;
         v += stride;
     }
@@ -140,21 +124,11 @@ struct JointPair {
     /// Finds where the next pixels of b, up to `kAhead` of them, lie in a's image. Returns the number of those that can
     /// be compared.
     [[nodiscard]] int find(Cursor& next, std::array<Meeting, kAhead>& found) const {
-        std::array<int, kAhead> rows{}, columns{};
+        std::array<int, kAhead> rows, columns;
         Places p;
-        int count = 0;
-        for (; count < kAhead && next.v < next.bottom; next.advance(o.stride)) {
-            const float* point = b.values.at(next.v, next.u);
-            if (next.v + o.stride < next.bottom) prefetch(b.values.at(next.v + o.stride, next.u));
-            if (std::isnan(point[2]) || *b.use.at(next.v, next.u) == 0) continue;
-            rows[count] = next.v;
-            columns[count] = next.u;
-            p.x[count] = point[0];
-            p.y[count] = point[1];
-            p.z[count] = point[2];
-            ++count;
-        }
+        const int count = take(next, p, rows, columns);
         if (count == 0) return 0;
+        const Moved moved = move(p);
         to_a.project(p);
         int met = 0;
         const double right = a.values.width - 2, bottom = a.values.height - 2;
@@ -165,10 +139,8 @@ struct JointPair {
             if (*a.use.at(m.cell.v, m.cell.u) == 0) continue;
             m.v = rows[i];
             m.u = columns[i];
-            m.at = {p.u[i], p.v[i]};
-            m.in_camera = {p.x[i], p.y[i], p.z[i]};
-            m.x = R * vector_of(b.values.at(m.v, m.u), joint::point) + t;
-            m.x_float << m.x.cast<float>().array(), 0.0F;
+            m.x << moved.x[0][i], moved.x[1][i], moved.x[2][i], 0.0F;
+            m.lever << moved.lever[0][i], moved.lever[1][i], moved.lever[2][i], 0.0F;
             prefetch_around(m);
             ++met;
         }
@@ -182,7 +154,7 @@ struct JointPair {
         using Four = Eigen::Array4f;
         // Three times four channels: point and its variance, normal and the texture's variance, gradient and blur.
         Four normals = Four::Zero(), gradients = Four::Zero(), chord = Four::Zero(), planes = Four::Zero();
-        const Four x = m.x_float;
+        const Four x = m.x;
         for (int k = 0; k < 4; ++k) {
             const float w = m.cell.w[k];
             const Four q = Four::Map(corners[k]), n = Four::Map(corners[k] + 4), g = Four::Map(corners[k] + 8);
@@ -193,25 +165,72 @@ struct JointPair {
             gradients += w * g;
         }
         const Four both = planes + normals * chord;
-        m.normal_a = normals.head<3>();
-        m.gradient_a = gradients.head<3>();
-        m.blur_a = gradients[3];
-        m.variance_texture = normals[3];
-        m.variance_distance = -chord[3];
+        m.normal = normals;
+        m.gradient = gradients;
+        m.variance = -chord[3];
         m.distance = 0.5F * (both[0] + both[1] + both[2]);
+    }
+
+    /// A direction that stands at a pixel of b, in b's own frame.
+    [[nodiscard]] Eigen::Vector3f of_b(const Meeting& m, int channel) const {
+        return Eigen::Vector3f::Map(b.values.at(m.v, m.u) + channel);
     }
 
     /// Looks a's surface up; false where there is none, or the two would hide or pierce one another.
     [[nodiscard]] bool compare(Meeting& m) const {
-        const float* p = b.values.at(m.v, m.u);
         look_up(m);
-        if (std::isnan(m.distance)) return false;
-        m.normal_b = R_float * Eigen::Vector3f(p[joint::normal], p[joint::normal + 1], p[joint::normal + 2]);
-        m.sigma = std::sqrt(m.variance_distance + p[joint::variance_distance]);
-        return std::fabs(m.distance) <= o.max_distance && m.normal_a.dot(m.normal_b) >= o.min_cosine;
+        if (!(std::fabs(m.distance) <= o.max_distance)) return false;
+        const Eigen::Vector3f normal = m.normal.head<3>();
+        return normal.dot(R_float * of_b(m, joint::normal)) >= o.min_cosine;
     }
 
   private:
+    /// Points in frame a, and from the point that rotations turn about, coordinate by coordinate.
+    struct Moved {
+        std::array<std::array<float, kAhead>, 3> x, lever;
+    };
+
+    /// Takes the next points of b; returns how many there are.
+    int take(Cursor& next, Places& p, std::array<int, kAhead>& rows, std::array<int, kAhead>& columns) const {
+        int count = 0;
+        const std::ptrdiff_t along = static_cast<std::ptrdiff_t>(o.stride) * joint::channels;
+        while (count < kAhead && next.v < next.bottom) {
+            const float* point = b.values.at(next.v, next.u);
+            const std::uint8_t* use = b.use.at(next.v, next.u);
+            const std::ptrdiff_t down = next.v + o.stride < next.bottom ? along * b.values.width : 0;
+            for (; next.u < next.right && count < kAhead; next.u += o.stride, point += along, use += o.stride) {
+                prefetch(point + down);
+                if (std::isnan(point[2]) || *use == 0) continue;
+                p.x[count] = point[0];
+                p.y[count] = point[1];
+                p.z[count] = point[2];
+                rows[count] = next.v;
+                columns[count] = next.u;
+                ++count;
+            }
+            if (next.u >= next.right) next.next_row(o.stride);
+        }
+        return count;
+    }
+
+    [[nodiscard]] Moved move(const Places& p) const {
+        const Eigen::Matrix3d M = R;
+        const Eigen::Vector3d s = t, centre = about;
+        Moved out;
+        for (int i = 0; i < kAhead; ++i) {
+            const double x = M(0, 0) * p.x[i] + M(0, 1) * p.y[i] + M(0, 2) * p.z[i] + s[0];
+            const double y = M(1, 0) * p.x[i] + M(1, 1) * p.y[i] + M(1, 2) * p.z[i] + s[1];
+            const double z = M(2, 0) * p.x[i] + M(2, 1) * p.y[i] + M(2, 2) * p.z[i] + s[2];
+            out.x[0][i] = static_cast<float>(x);
+            out.x[1][i] = static_cast<float>(y);
+            out.x[2][i] = static_cast<float>(z);
+            out.lever[0][i] = static_cast<float>(x - centre[0]);
+            out.lever[1][i] = static_cast<float>(y - centre[1]);
+            out.lever[2][i] = static_cast<float>(z - centre[2]);
+        }
+        return out;
+    }
+
     /// Asks for what `compare` reads of a.
     void prefetch_around(const Meeting& m) const {
         for (int row = 0; row < 2; ++row) {

@@ -26,22 +26,20 @@ struct Sloped {
     double value, du, dv;
 };
 
-Sloped cubic_with_slopes(const Image<const float>& map, double x, double y) {
-    const int u = static_cast<int>(x), v = static_cast<int>(y);
-    using Four = std::array<float, 4>;
+Sloped cubic_with_slopes(const Image<const float>& map, const Cell& cell) {
+    using Four = Eigen::Array4f;
     const auto slopes = [](float f) -> Four {
         return {(-1.5F * f + 2.0F) * f - 0.5F, (4.5F * f - 5.0F) * f, (-4.5F * f + 4.0F) * f + 0.5F,
                 (1.5F * f - 1.0F) * f};
     };
-    const auto fx = static_cast<float>(x - u), fy = static_cast<float>(y - v);
-    const Four wx = cubic_weights(fx), wy = cubic_weights(fy), sx = slopes(fx), sy = slopes(fy);
+    const Four wx = cubic_weights(cell.fx), wy = cubic_weights(cell.fy), sx = slopes(cell.fx), sy = slopes(cell.fy);
     Sloped out{0, 0, 0};
     for (int j = 0; j < 4; ++j) {
-        const float* p = map.at(v - 1 + j, u - 1);
-        const double along = wx[0] * p[0] + wx[1] * p[1] + wx[2] * p[2] + wx[3] * p[3];
+        const Four p = Four::Map(map.at(cell.v - 1 + j, cell.u - 1));
+        const double along = (wx * p).sum();
         out.value += wy[j] * along;
         out.dv += sy[j] * along;
-        out.du += wy[j] * (sx[0] * p[0] + sx[1] * p[1] + sx[2] * p[2] + sx[3] * p[3]);
+        out.du += wy[j] * (sx * p).sum();
     }
     return out;
 }
@@ -73,27 +71,30 @@ struct Problem : JointPair {
 };
 
 void Problem::add_distance(const Meeting& m, const TileWeight& weight, Matrix63& pull) const {
-    const float slope = tukey(m.distance / m.sigma, weight.scale).slope;
-    const Row6 J = jacobian((m.x - about).cast<float>(), (m.normal_a + m.normal_b).normalized());
-    pull += outer(J, weight.weight * slope / (m.sigma * m.sigma) * m.normal_a.cast<double>().transpose());
+    const float variance = m.variance + b.values.at(m.v, m.u)[joint::variance_distance];
+    const float slope = tukey(m.distance / std::sqrt(variance), weight.scale).slope;
+    const Eigen::Vector3f normal = m.normal.head<3>();
+    const Row6 J = jacobian(m.lever.head<3>(), (normal + R_float * of_b(m, joint::normal)).normalized());
+    pull += outer(J, weight.weight * slope / variance * normal.cast<double>().transpose());
 }
 
 void Problem::add_texture(const Meeting& m, const TileWeight& weight, Matrix63& pull) const {
     const float* pb = b.values.at(m.v, m.u);
     const double value_b = *b.texture.at(m.v, m.u);
-    const Sloped value_a = cubic_with_slopes(a.texture, m.at.x(), m.at.y());
-    const double variance = m.variance_texture + pb[joint::variance_texture];
-    const double known = value_a.value + value_b + variance + m.gradient_a[0] + pb[joint::gradient];
+    const Sloped value_a = cubic_with_slopes(a.texture, m.cell);
+    const double variance = m.normal[3] + pb[joint::variance_texture];
+    const double known = value_a.value + value_b + variance + m.gradient[0] + pb[joint::gradient];
     if (std::isnan(known)) return;
     const double share_a = 1 - 0.5 * weight.gain, share_b = 1 + 0.5 * weight.gain;
     const double sigma = std::sqrt(variance);
     const double r = (share_a * value_a.value - share_b * value_b - weight.offset) / sigma;
     const Influence influence = tukey(static_cast<float>(r), weight.scale);
     if (influence.weight == 0) return;
-    const Matrix23 by_point = share_a * pixel_by_point(camera, m.in_camera) / sigma;
-    const Eigen::Vector3f lever = (m.x - about).cast<float>();
-    const Eigen::Vector3d gradient =
-        share_a * m.gradient_a.cast<double>() + share_b * (R * vector_of(pb, joint::gradient));
+    const Eigen::Vector3d x = m.x.head<3>().cast<double>();
+    const Matrix23 by_point = share_a * pixel_by_point(camera, camera.to_camera(x)) / sigma;
+    const Eigen::Vector3f lever = m.lever.head<3>();
+    const Eigen::Vector3d gradient = share_a * m.gradient.head<3>().matrix().cast<double>() +
+                                     share_b * (R_float * of_b(m, joint::gradient)).cast<double>();
     const Row6 J = jacobian(lever, (0.5 / sigma * gradient).cast<float>());
     pull += outer(J, weight.weight * influence.slope * Eigen::RowVector2d(value_a.du, value_a.dv) * by_point);
     // a's gradient is looked up at the same place, so that it changes too.

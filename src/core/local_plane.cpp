@@ -43,8 +43,8 @@ class Moments {
     }
 
     void compute(const Image<const float>& total, const Image<const float>& weight, int y) {
-        sum_down(weight, y, 0, 3);
-        sum_down(total, y, 3, 2);
+        sum_down<3>(weight, y, 0);
+        sum_down<2>(total, y, 3);
         const int taps = 2 * powers_.reach + 1;
         for (int x = 0; x < width_; x += kLane) {
             std::array<Lanes, kCount> sums;
@@ -70,16 +70,25 @@ class Moments {
 
   private:
     /// Sums along columns with the powers 0 to `count` - 1, into the rows from `first` on.
-    void sum_down(const Image<const float>& image, int y, int first, int count) {
-        for (int i = 0; i < count; ++i) {
-            float* __restrict out = down_[first + i].data() + powers_.reach;
-            std::fill_n(out, image.width, 0.0F);
-            for (int v = std::max(0, y - powers_.reach); v < std::min(image.height, y + powers_.reach + 1); ++v) {
-                const float weight = powers_.of[i][v - y + powers_.reach];
-                const float* __restrict line = image.row(v);
-                for (int x = 0; x < image.width; ++x) out[x] += weight * line[x];
+    template <int count>
+    void sum_down(const Image<const float>& image, int y, int first) {
+        const int top = std::max(0, y - powers_.reach), end = std::min(image.height, y + powers_.reach + 1);
+        const int whole = image.width / kLane * kLane, tap = powers_.reach - y;
+        for (int x = 0; x < whole; x += kLane) {
+            std::array<Lanes, count> sums;
+            sums.fill(Lanes::Zero());
+            for (int v = top; v < end; ++v) {
+                const Lanes values = Eigen::Map<const Lanes>(image.row(v) + x);
+                for (int i = 0; i < count; ++i) sums[i] += powers_.of[i][v + tap] * values;
             }
+            for (int i = 0; i < count; ++i) Eigen::Map<Lanes>(down_[first + i].data() + powers_.reach + x) = sums[i];
         }
+        for (int x = whole; x < image.width; ++x)
+            for (int i = 0; i < count; ++i) {
+                float sum = 0;
+                for (int v = top; v < end; ++v) sum += powers_.of[i][v + tap] * image.row(v)[x];
+                down_[first + i][powers_.reach + x] = sum;
+            }
     }
 
     const Powers& powers_;

@@ -12,7 +12,8 @@
 namespace planish {
 namespace {
 
-constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
+constexpr float kNaN = std::numeric_limits<float>::quiet_NaN(), kMost = std::numeric_limits<float>::max(),
+                kInfinity = std::numeric_limits<float>::infinity();
 
 /// One row of places on another camera's grid, in the steps that loops over whole rows vectorise.
 class ReadRow {
@@ -32,8 +33,8 @@ class ReadRow {
           variance_(width),
           level_(width) {}
 
-    /// The image (1 + value) level and its variance.
-    void read(const float* place, float* __restrict image, float* __restrict variance) {
+    /// The image (1 + value) level and `gain` times its variance.
+    void read(const float* place, float gain, float* __restrict image, float* __restrict variance) {
         locate(place);
         const float *values = view_.value.data, *blocks = view_.level.data;
         const int stride = view_.value.width, next_row = view_.level.height > 1 ? view_.level.width : 0,
@@ -50,7 +51,7 @@ class ReadRow {
             const float b = below[0] + block_x_[u] * (below[next_column] - below[0]);
             level_[u] = a + block_y_[u] * (b - a);
         }
-        combine(image, variance);
+        combine(gain, image, variance);
     }
 
   private:
@@ -98,7 +99,7 @@ class ReadRow {
         }
     }
 
-    void combine(float* __restrict image, float* __restrict variance) const {
+    void combine(float gain, float* __restrict image, float* __restrict variance) const {
         for (std::size_t i = 0; i < known_.size(); ++i) {
             float w[4];
             cubic_weights(across_[i], w);
@@ -106,7 +107,7 @@ class ReadRow {
             const float value = w[0] * c[0] + w[1] * c[1] + w[2] * c[2] + w[3] * c[3];
             const float level = value == value ? level_[i] * known_[i] : kNaN;
             image[i] = (1 + value) * level;
-            variance[i] = variance_[i] * gain_[i] * level * level;
+            variance[i] = variance_[i] * gain_[i] * level * level * gain;
         }
     }
 
@@ -115,35 +116,76 @@ class ReadRow {
     std::vector<float> known_, across_, down_, columns_, gain_, block_x_, block_y_, variance_, level_;
 };
 
+/// The image and its variance at the camera's own pixels.
+void own_row(const ContrastView& view, int v, const BlockLerp::Row& level, float gain, float* __restrict image,
+             float* __restrict variance) {
+    const float *value = view.value.row(v), *spread = view.variance.row(v);
+    for (int u = 0; u < view.value.width; ++u) {
+        const float light = level[u];
+        image[u] = (1 + value[u]) * light;
+        variance[u] = spread[u] * light * light * gain;
+    }
+}
+
+/// Sums of one row over the cameras.
+struct Merged {
+    std::vector<float> weight, total, noise;
+
+    explicit Merged(int width) : weight(width), total(width), noise(width) {}
+
+    void add(const float* __restrict image, const float* __restrict variance, const float* __restrict expected,
+             const float* __restrict trust) {
+        float* __restrict weights = weight.data();
+        float* __restrict totals = total.data();
+        float* __restrict noises = noise.data();
+        for (int u = 0; u < static_cast<int>(weight.size()); ++u) {
+            // 0 for NaN. Factors and divisors of 1 instead of branches, so that the loop vectorises.
+            const float known = (variance[u] > 0 ? 1.0F : 0.0F) * (std::fabs(image[u]) <= kMost ? 1.0F : 0.0F) *
+                                (expected[u] > 0 ? 1.0F : 0.0F);
+            const float light = known > 0 ? expected[u] : 1.0F, grey = known > 0 ? image[u] : 0.0F;
+            const float by = trust[u] * (known * light * light / (known > 0 ? variance[u] : 1.0F));
+            weights[u] += by;
+            totals[u] += by * (grey / light - 1);
+            noises[u] += trust[u] * by;
+        }
+    }
+
+    void finish(const unsigned char* valid, float* __restrict value, float* __restrict sigma) {
+        for (int u = 0; u < static_cast<int>(weight.size()); ++u) {
+            const bool known = (valid[u] != 0) & (weight[u] > 0);
+            const float per = (known ? 1.0F : kNaN) / (known ? weight[u] : 1.0F);
+            value[u] = total[u] * per;
+            sigma[u] = std::sqrt(noise[u]) * per;
+        }
+        for (auto* line : {&weight, &total, &noise}) std::fill(line->begin(), line->end(), 0.0F);
+    }
+};
+
 }  // namespace
 
-void compensated_image(const ContrastView& view, const Image<const float>& place, int height, int width, int threads,
-                       const Image<float>& image, const Image<float>& variance) {
-    parallel_for(height, threads, [&](std::size_t first, std::size_t last) {
-        if (!place.empty() && (view.value.width < 4 || view.value.height < 4)) {
-            // Nowhere are there all the pixels that cubic convolution takes.
-            for (const auto* map : {&image, &variance})
-                std::fill(map->row(static_cast<int>(first)), map->row(static_cast<int>(last)), kNaN);
-            return;
-        }
-        if (!place.empty()) {
-            ReadRow row(view, width);
-            for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v)
-                row.read(place.row(v), image.row(v), variance.row(v));
-            return;
-        }
+void compensated_image(const ContrastView& view, const Image<const float>& place,
+                       const Image<const unsigned char>& seen, float gain, int threads, const CompensatedImage& out) {
+    const int width = out.image.width;
+    // Where there are fewer pixels than cubic convolution takes, nothing is known.
+    const bool tiny = !place.empty() && (view.value.width < 4 || view.value.height < 4);
+    parallel_for(out.sum.height, threads, [&](std::size_t first, std::size_t last) {
+        BlockAdder adder(width, view.factor);
         BlockLerp levels(view.level, view.factor, width);
-        std::vector<float> row(width);
-        for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
-            levels.row(v, row.data());
-            const float* __restrict level = row.data();
-            const float *value = view.value.row(v), *spread = view.variance.row(v);
-            float* __restrict grey = image.row(v);
-            float* __restrict noise = variance.row(v);
-            for (int u = 0; u < width; ++u) {
-                grey[u] = (1 + value[u]) * level[u];
-                noise[u] = spread[u] * level[u] * level[u];
+        ReadRow reader(view, place.empty() ? 0 : width);
+        for (auto y = static_cast<int>(first); y < static_cast<int>(last); ++y) {
+            for (int v = y * view.factor; v < std::min(out.image.height, (y + 1) * view.factor); ++v) {
+                float *image = out.image.row(v), *variance = out.variance.row(v);
+                if (tiny) {
+                    std::fill_n(image, width, kNaN);
+                    std::fill_n(variance, width, kNaN);
+                } else if (place.empty()) {
+                    own_row(view, v, levels.row(v), gain, image, variance);
+                } else {
+                    reader.read(place.row(v), gain, image, variance);
+                }
+                adder.add(image, -kInfinity, kInfinity, seen.row(v));
             }
+            adder.finish(out.sum.row(y), out.count.row(y));
         }
     });
 }
@@ -152,34 +194,20 @@ void merge_contrasts(const std::vector<SeenImage>& images, const Image<const uns
                      int threads, const Image<float>& value, const Image<float>& sigma) {
     const int width = value.width;
     parallel_for(value.height, threads, [&](std::size_t first, std::size_t last) {
-        std::vector<BlockLerp> expected_maps, trust_maps;
+        std::vector<BlockLerp> expected, trust;
         for (const auto& image : images) {
-            expected_maps.emplace_back(image.expected, factor, width);
-            trust_maps.emplace_back(image.trust, factor, width);
+            expected.emplace_back(image.expected, factor, width);
+            trust.emplace_back(image.trust, factor, width);
         }
-        std::vector<float> expected(width), trust(width), weights(width), total(width), noise(width);
+        Merged sums(width);
+        std::vector<float> light(width), share(width);
         for (auto v = static_cast<int>(first); v < static_cast<int>(last); ++v) {
-            for (auto* line : {&weights, &total, &noise}) std::fill(line->begin(), line->end(), 0.0F);
             for (std::size_t i = 0; i < images.size(); ++i) {
-                expected_maps[i].row(v, expected.data());
-                trust_maps[i].row(v, trust.data());
-                const float* grey = images[i].image.row(v);
-                const float* variance = images[i].variance.row(v);
-                for (int u = 0; u < width; ++u) {
-                    const bool known = variance[u] > 0 && std::isfinite(grey[u]) && expected[u] > 0;
-                    const float weight = known ? expected[u] * expected[u] / variance[u] : 0.0F;
-                    const float contrast = known ? grey[u] / expected[u] - 1 : 0.0F;
-                    weights[u] += trust[u] * weight;
-                    total[u] += trust[u] * weight * contrast;
-                    noise[u] += trust[u] * trust[u] * weight;
-                }
+                expected[i].row(v, light.data());
+                trust[i].row(v, share.data());
+                sums.add(images[i].image.row(v), images[i].variance.row(v), light.data(), share.data());
             }
-            const unsigned char* points = valid.row(v);
-            for (int u = 0; u < width; ++u) {
-                const float per = points[u] != 0 && weights[u] > 0 ? 1 / weights[u] : kNaN;
-                value.row(v)[u] = total[u] * per;
-                sigma.row(v)[u] = std::sqrt(noise[u]) * per;
-            }
+            sums.finish(valid.row(v), value.row(v), sigma.row(v));
         }
     });
 }

@@ -8,6 +8,7 @@
 
 #include "core/moved_camera.hpp"
 #include "core/parallel.hpp"
+#include "core/prefetch.hpp"
 
 namespace planish {
 namespace {
@@ -22,95 +23,129 @@ struct Weight {
     double f;
 };
 
+/// False outside `size` pixels.
 bool weigh(double coordinate, int size, Weight& out) {
     if (!(coordinate > -SNAP_PX && coordinate < size - 1 + SNAP_PX)) return false;
-    const double nearest = std::round(coordinate);
+    const int nearest = static_cast<int>(coordinate + 0.5);
     if (std::abs(coordinate - nearest) < SNAP_PX) {
-        out = {static_cast<int>(nearest), 0.0};
+        out = {nearest, 0.0};
         return true;
     }
-    out.first = static_cast<int>(std::floor(coordinate));
+    out.first = static_cast<int>(coordinate);
     out.f = coordinate - out.first;
     return true;
 }
 
-Eigen::Vector3d vector_at(const Image<const float>& image, int v, int u) {
-    return Eigen::Map<const Eigen::Vector3f>(image.at(v, u)).cast<double>();
-}
+using Vector = Eigen::Vector3d;
 
-/// A place between the pixels of an image.
-struct Place {
-    Weight u{}, v{};
-    bool inside;
+/// Three values in double precision.
+Vector vector_of(const float* at) { return {at[0], at[1], at[2]}; }
 
-    Place(const Eigen::Vector2d& pixel, int width, int height)
-        : inside(weigh(pixel.x(), width, u) && weigh(pixel.y(), height, v)) {}
-};
-
-/// Distance of x (frame of a) from the surface of a at a pixel, or NaN.
-double distance_at(const OrganisedSurface& a, const Place& place, const Eigen::Vector3d& x,
-                   const Eigen::Vector3d& normal_b, double max_distance) {
+/// Distance of x (frame of a) from the surface of a between four pixels, or NaN.
+double distance_at(const OrganisedSurface& a, const Weight& u, const Weight& v, const Vector& x, const Vector& normal_b,
+                   double max_distance) {
     constexpr double NONE = std::numeric_limits<double>::quiet_NaN();
-    const Weight &u = place.u, &v = place.v;
-    const Eigen::Vector3d n = vector_at(a.normals, v.first + (v.f > 0.5), u.first + (u.f > 0.5));
+    const Vector n = vector_of(a.normals.at(v.first + (v.f > 0.5), u.first + (u.f > 0.5)));
     // Compare with "not greater" so that a missing normal of b (NaN) does not exclude the point.
     if (!(n.x() == n.x()) || n.dot(normal_b) < 0) return NONE;
-    double sum = 0, smallest = std::numeric_limits<double>::infinity(), largest = -smallest;
-    for (int j = 0; j <= (v.f > 0); ++j)
-        for (int i = 0; i <= (u.f > 0); ++i) {
-            const double weight = (j ? v.f : 1 - v.f) * (i ? u.f : 1 - u.f);
-            const double d = n.dot(x - vector_at(a.points, v.first + j, u.first + i));
-            if (!(d == d)) return NONE;
-            sum += weight * d;
-            smallest = std::min(smallest, d);
-            largest = std::max(largest, d);
-        }
+    // Where one weight is 0, its pixel may lie outside, or be unknown: the other one stands for it.
+    const std::ptrdiff_t right = u.f > 0 ? 3 : 0, down = v.f > 0 ? std::ptrdiff_t{3} * a.points.width : 0;
+    const float* q = a.points.at(v.first, u.first);
+    const double along = n.dot(x);
+    const std::array<double, 4> d{along - n.dot(vector_of(q)), along - n.dot(vector_of(q + right)),
+                                  along - n.dot(vector_of(q + down)), along - n.dot(vector_of(q + down + right))};
+    const double sum = (1 - v.f) * ((1 - u.f) * d[0] + u.f * d[1]) + v.f * ((1 - u.f) * d[2] + u.f * d[3]);
+    const double largest = std::max(std::max(d[0], d[1]), std::max(d[2], d[3])),
+                 smallest = std::min(std::min(d[0], d[1]), std::min(d[2], d[3]));
     // Neighbours on two layers: there is no surface between them.
-    if (largest - smallest > max_distance || std::abs(sum) > max_distance) return NONE;
+    if (!(std::abs(sum) <= max_distance) || largest - smallest > max_distance) return NONE;
     return sum;
 }
+
+/// Points of one row of b, and where they lie in a's image.
+struct Ahead {
+    int count = 0;
+    std::array<int, kAhead> columns{};
+    Places places;
+};
+
+struct Problem {
+    const OrganisedSurface &a, &b;
+    Eigen::Matrix3d R;
+    Vector t;
+    MovedCamera camera;
+    double max_distance;
+
+    Problem(const OrganisedSurface& a_, const OrganisedSurface& b_, const Eigen::Matrix4d& T_a_b, double max_distance_)
+        : a(a_),
+          b(b_),
+          R(T_a_b.topLeftCorner<3, 3>()),
+          t(T_a_b.topRightCorner<3, 1>()),
+          camera(a_.camera, R, t),
+          max_distance(max_distance_) {}
+
+    /// Takes the next points of a row, and asks for what will be read of a.
+    void take(const float* points, int& next, Ahead& out) const {
+        out.count = 0;
+        Places& p = out.places;
+        for (; next < b.points.width && out.count < kAhead; ++next) {
+            const float* point = points + std::ptrdiff_t{3} * next;
+            if (std::isnan(point[2])) continue;
+            out.columns[out.count] = next;
+            p.x[out.count] = point[0];
+            p.y[out.count] = point[1];
+            p.z[out.count] = point[2];
+            ++out.count;
+        }
+        camera.project(p);
+        for (int i = 0; i < out.count; ++i) {
+            if (!(p.u[i] >= 0 && p.v[i] >= 0 && p.u[i] < a.points.width - 1 && p.v[i] < a.points.height - 1)) continue;
+            const int u = static_cast<int>(p.u[i]), v = static_cast<int>(p.v[i]);
+            for (const auto* map : {&a.points, &a.normals}) {
+                prefetch(map->at(v, u));
+                prefetch(map->at(v + 1, u));
+            }
+        }
+    }
+
+    void compare(const Ahead& ahead, int v, float* distances, float* pixels) const {
+        const float *points = b.points.row(v), *normals = b.normals.row(v);
+        const Places& p = ahead.places;
+        for (int i = 0; i < ahead.count; ++i) {
+            Weight at_u{}, at_v{};
+            if (!(p.z[i] > 0 && weigh(p.u[i], a.points.width, at_u) && weigh(p.v[i], a.points.height, at_v))) continue;
+            const int u = ahead.columns[i];
+            const std::ptrdiff_t at = std::ptrdiff_t{3} * u;
+            const Vector x = R * vector_of(points + at) + t, normal = R * vector_of(normals + at);
+            const double distance = distance_at(a, at_u, at_v, x, normal, max_distance);
+            if (!(distance == distance)) continue;
+            distances[u] = static_cast<float>(distance);
+            if (!pixels) continue;
+            pixels[std::ptrdiff_t{2} * u] = static_cast<float>(p.u[i]);
+            pixels[std::ptrdiff_t{2} * u + 1] = static_cast<float>(p.v[i]);
+        }
+    }
+};
 
 }  // namespace
 
 void look_up_distance(const OrganisedSurface& a, const OrganisedSurface& b, const Eigen::Matrix4d& T_a_b,
                       double max_distance, int threads, const Image<float>& distances, const Image<float>& pixels) {
-    const Eigen::Matrix3d R = T_a_b.topLeftCorner<3, 3>();
-    const Eigen::Vector3d t = T_a_b.topRightCorner<3, 1>();
-    const MovedCamera camera(a.camera, R, t);
+    const Problem problem(a, b, T_a_b, max_distance);
     const int width = b.points.width;
-    std::fill_n(distances.data, distances.pixels(), NOT_A_NUMBER);
-    if (!pixels.empty()) std::fill_n(pixels.data, 2 * pixels.pixels(), NOT_A_NUMBER);
     parallel_tasks(static_cast<std::size_t>(b.points.height), threads, [&](std::size_t row) {
         const int v = static_cast<int>(row);
-        std::array<int, kAhead> columns{};
-        for (int next = 0; next < width;) {
-            Places places;
-            int count = 0;
-            for (; next < width && count < kAhead; ++next) {
-                const float* point = b.points.at(v, next);
-                if (std::isnan(point[2])) continue;
-                columns[count] = next;
-                places.x[count] = point[0];
-                places.y[count] = point[1];
-                places.z[count] = point[2];
-                ++count;
-            }
-            camera.project(places);
-            for (int i = 0; i < count; ++i) {
-                if (!(places.z[i] > 0)) continue;
-                const int u = columns[i];
-                const Eigen::Vector2d pixel(places.u[i], places.v[i]);
-                const Place place(pixel, a.points.width, a.points.height);
-                if (!place.inside) continue;
-                const double distance = distance_at(a, place, R * vector_at(b.points, v, u) + t,
-                                                    R * vector_at(b.normals, v, u), max_distance);
-                if (!(distance == distance)) continue;
-                *distances.at(v, u) = static_cast<float>(distance);
-                if (pixels.empty()) continue;
-                pixels.at(v, u)[0] = static_cast<float>(pixel.x());
-                pixels.at(v, u)[1] = static_cast<float>(pixel.y());
-            }
+        float *out = distances.row(v), *out_pixels = pixels.empty() ? nullptr : pixels.row(v);
+        std::fill_n(out, width, NOT_A_NUMBER);
+        if (out_pixels) std::fill_n(out_pixels, 2 * static_cast<std::size_t>(width), NOT_A_NUMBER);
+        // While some are compared, memory answers what was asked for by the next.
+        std::array<Ahead, 2> ahead;
+        int turn = 0;
+        for (int next = 0; next < width; turn = 1 - turn) {
+            problem.take(b.points.row(v), next, ahead[turn]);
+            problem.compare(ahead[1 - turn], v, out, out_pixels);
         }
+        problem.compare(ahead[1 - turn], v, out, out_pixels);
     });
 }
 

@@ -21,31 +21,34 @@ struct Sample {
     double value, du, dv, variance;
 };
 
+using Four = Eigen::Array4f;
+
 /// Weights of Keys' cubic convolution (1981, a = -1/2) and their derivatives at fraction f between pixels 0 and 1.
-void cubic(double f, std::array<double, 4>& w, std::array<double, 4>& d) {
-    const double f2 = f * f, f3 = f2 * f;
-    w = {0.5 * (-f3 + 2 * f2 - f), 0.5 * (3 * f3 - 5 * f2 + 2), 0.5 * (-3 * f3 + 4 * f2 + f), 0.5 * (f3 - f2)};
-    d = {0.5 * (-3 * f2 + 4 * f - 1), 0.5 * (9 * f2 - 10 * f), 0.5 * (-9 * f2 + 8 * f + 1), 0.5 * (3 * f2 - 2 * f)};
-}
+struct Cubic {
+    Four w, d;
+
+    explicit Cubic(float f) {
+        const Four once(-0.5F, 0.0F, 0.5F, 0.0F), twice(1.0F, -2.5F, 2.0F, -0.5F), thrice(-0.5F, 1.5F, -1.5F, 0.5F),
+            second(0.0F, 1.0F, 0.0F, 0.0F);
+        w = ((thrice * f + twice) * f + once) * f + second;
+        d = (3.0F * thrice * f + 2.0F * twice) * f + once;
+    }
+};
 
 /// Value and derivatives at a pixel; false where the 4 x 4 neighbourhood is not whole.
 bool sample(const Contrast& b, double u, double v, Sample& out) {
-    const double fu = std::floor(u), fv = std::floor(v);
-    if (!(fu >= 1 && fv >= 1 && fu < b.value.width - 2 && fv < b.value.height - 2)) return false;
-    const int iu = static_cast<int>(fu), iv = static_cast<int>(fv);
-    std::array<double, 4> wu, du, wv, dv;
-    cubic(u - fu, wu, du);
-    cubic(v - fv, wv, dv);
-    out = {0, 0, 0, 0};
-    for (int j = 0; j < 4; ++j) {
-        const float* row = b.value.at(iv - 1 + j, iu - 1);
-        const double value = wu[0] * row[0] + wu[1] * row[1] + wu[2] * row[2] + wu[3] * row[3];
-        out.value += wv[j] * value;
-        out.du += wv[j] * (du[0] * row[0] + du[1] * row[1] + du[2] * row[2] + du[3] * row[3]);
-        out.dv += dv[j] * value;
-    }
-    const float sigma = *b.sigma.at(iv + (v - fv > 0.5), iu + (u - fu > 0.5));
-    out.variance = static_cast<double>(sigma) * sigma;
+    if (!(u >= 1 && v >= 1 && u < b.value.width - 2 && v < b.value.height - 2)) return false;
+    const int iu = static_cast<int>(u), iv = static_cast<int>(v);
+    const auto fu = static_cast<float>(u - iu), fv = static_cast<float>(v - iv);
+    const Cubic along(fu), down(fv);
+    const float* p = b.value.at(iv - 1, iu - 1);
+    const auto step = static_cast<std::ptrdiff_t>(b.value.width);
+    const Four q[] = {Four::Map(p), Four::Map(p + step), Four::Map(p + 2 * step), Four::Map(p + 3 * step)};
+    const Four values = down.w[0] * q[0] + down.w[1] * q[1] + down.w[2] * q[2] + down.w[3] * q[3];
+    const Four slopes = down.d[0] * q[0] + down.d[1] * q[1] + down.d[2] * q[2] + down.d[3] * q[3];
+    const float sigma = *b.sigma.at(iv + (fv > 0.5F), iu + (fu > 0.5F));
+    out = {(along.w * values).sum(), (along.d * values).sum(), (along.w * slopes).sum(),
+           static_cast<double>(sigma) * sigma};
     return out.value == out.value && out.variance == out.variance;
 }
 
@@ -85,7 +88,16 @@ struct Fit {
     int pixels = 0;
 };
 
-Fit evaluate(const Contrast& b, const Tile& tile, const std::vector<Template>& pixels, const Eigen::Vector2d& shift) {
+/// What a pixel of a and its place in b differ by, and what that weighs.
+struct Difference {
+    const Template* pixel;
+    double weight, value;
+};
+
+/// `differences`, where given, becomes those of all pixels that b is known at.
+Fit evaluate(const Contrast& b, const Tile& tile, const std::vector<Template>& pixels, const Eigen::Vector2d& shift,
+             std::vector<Difference>* differences = nullptr) {
+    if (differences) differences->clear();
     const Eigen::Vector2d step_b = tile.J_b * shift + tile.offset_b;
     double sw = 0, sa = 0, sb = 0, saa = 0, sab = 0, sbb = 0;
     Eigen::Vector2d sg(0, 0), sga(0, 0), sgb(0, 0), sh(0, 0);
@@ -97,6 +109,7 @@ Fit evaluate(const Contrast& b, const Tile& tile, const std::vector<Template>& p
         const double w = 1 / (p.variance + s.variance);
         const Eigen::Vector2d h = tile.J_b.transpose() * Eigen::Vector2d(s.du, s.dv);
         ++fit.pixels;
+        if (differences) differences->push_back({&p, w, p.value - s.value});
         sw += w;
         sa += w * p.value;
         sb += w * s.value;
@@ -125,29 +138,22 @@ Fit evaluate(const Contrast& b, const Tile& tile, const std::vector<Template>& p
 
 /// Ratio of the variance of the right-hand side as the spread of the blocks' sums shows it to what independent
 /// residuals would give (cluster-robust "sandwich", Liang and Zeger 1986), mean of both directions.
-double inflation(const Contrast& b, const Tile& tile, const std::vector<Template>& pixels, const Eigen::Vector2d& shift,
-                 const Fit& fit) {
-    const Eigen::Vector2d step_b = tile.J_b * shift + tile.offset_b;
+double inflation(const std::vector<Difference>& differences, const Fit& fit) {
     std::vector<Eigen::Vector3d> blocks;
     Eigen::Vector2d sg(0, 0);
     double sw = 0, sd = 0;
-    // Two passes: the means must be known before products about them can be summed block by block.
-    for (const bool summing : {false, true})
-        for (const Template& p : pixels) {
-            Sample s;
-            if (!sample(b, p.pixel_b.x() + step_b.x(), p.pixel_b.y() + step_b.y(), s)) continue;
-            const double w = 1 / (p.variance + s.variance);
-            if (!summing) {
-                sw += w;
-                sd += w * (p.value - s.value);
-                sg += w * p.gradient;
-                continue;
-            }
-            if (static_cast<std::size_t>(p.cluster) >= blocks.size())
-                blocks.resize(static_cast<std::size_t>(p.cluster) + 1, Eigen::Vector3d::Zero());
-            const Eigen::Vector2d score = w * (p.gradient - sg / sw) * (p.value - s.value - sd / sw);
-            blocks[static_cast<std::size_t>(p.cluster)] += Eigen::Vector3d(score.x(), score.y(), 1);
-        }
+    // Products about the means: these must be known before.
+    for (const auto& [pixel, w, value] : differences) {
+        sw += w;
+        sd += w * value;
+        sg += w * pixel->gradient;
+    }
+    for (const auto& [pixel, w, value] : differences) {
+        const auto cluster = static_cast<std::size_t>(pixel->cluster);
+        if (cluster >= blocks.size()) blocks.resize(cluster + 1, Eigen::Vector3d::Zero());
+        const Eigen::Vector2d score = w * (pixel->gradient - sg / sw) * (value - sd / sw);
+        blocks[cluster] += Eigen::Vector3d(score.x(), score.y(), 1);
+    }
     Eigen::Matrix2d sum = Eigen::Matrix2d::Zero();
     double filled = 0;
     for (const Eigen::Vector3d& block : blocks) {
@@ -201,8 +207,9 @@ TileShift align(const Contrast& b, const Tile& tile, const std::vector<Template>
                 const Eigen::Vector2d& start) {
     TileShift out;
     out.shift_mm = start;
+    std::vector<Difference> differences;
     for (int step = 0; step < MAX_STEPS; ++step) {
-        const Fit fit = evaluate(b, tile, pixels, out.shift_mm);
+        const Fit fit = evaluate(b, tile, pixels, out.shift_mm, &differences);
         out.pixels = fit.pixels;
         out.correlation = fit.correlation;
         const double determinant = fit.curvature.determinant();
@@ -214,7 +221,8 @@ TileShift align(const Contrast& b, const Tile& tile, const std::vector<Template>
         out.shift_mm += delta;
         if ((tile.J_a * delta).norm() < LAST_STEP_PX) {
             out.converged = true;
-            out.inflation = inflation(b, tile, pixels, out.shift_mm, fit);
+            // A step as short as the last one changes nothing of them.
+            out.inflation = inflation(differences, fit);
             return out;
         }
     }

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "core/parallel.hpp"
 
@@ -43,22 +44,38 @@ struct Disc {
 };
 
 /// Values of a line of the chart by linear interpolation: from (u, v) in steps (du, dv); zero outside the chart.
+///
+/// In passes over a few pixels each: all but the reading is vector arithmetic, which reading in between would break up.
 void sample_line(const Image<const float>& chart, float u0, float v0, float du, float dv, int count,
                  float* __restrict out) {
+    constexpr int ahead = 4 * lane;
     const float u_max = static_cast<float>(chart.width) - 1.001F, v_max = static_cast<float>(chart.height) - 1.001F;
     const int width = chart.width;
-    const float* __restrict data = chart.data;
-    for (int x = 0; x < count; ++x) {
-        const float u = u0 + static_cast<float>(x) * du, v = v0 + static_cast<float>(x) * dv;
-        // Clamped, so that every read is inside; what was outside is multiplied by zero.
-        const float uc = std::min(std::max(u, 0.0F), u_max), vc = std::min(std::max(v, 0.0F), v_max);
-        const float inside = (uc == u ? 1.0F : 0.0F) * (vc == v ? 1.0F : 0.0F);
-        const int iu = static_cast<int>(uc), iv = static_cast<int>(vc);
-        const float fu = uc - static_cast<float>(iu), fv = vc - static_cast<float>(iv);
-        const int at = iv * width + iu;
-        const float top = data[at] + fu * (data[at + 1] - data[at]);
-        const float bottom = data[at + width] + fu * (data[at + width + 1] - data[at + width]);
-        out[x] = inside * (top + fv * (bottom - top));
+    std::array<float, ahead> inside, fu, fv;
+    std::array<float, 2 * ahead> above, below;
+    std::array<std::int32_t, ahead> at;
+    for (int first = 0; first < count; first += ahead) {
+        const int rest = std::min(count - first, ahead);
+        for (int x = 0; x < rest; ++x) {
+            const float u = u0 + static_cast<float>(first + x) * du, v = v0 + static_cast<float>(first + x) * dv;
+            // Clamped, so that every read is inside; what was outside is multiplied by zero.
+            const float uc = std::min(std::max(u, 0.0F), u_max), vc = std::min(std::max(v, 0.0F), v_max);
+            inside[x] = (uc == u ? 1.0F : 0.0F) * (vc == v ? 1.0F : 0.0F);
+            const int iu = static_cast<int>(uc), iv = static_cast<int>(vc);
+            fu[x] = uc - static_cast<float>(iu);
+            fv[x] = vc - static_cast<float>(iv);
+            at[x] = iv * width + iu;
+        }
+        for (int x = 0; x < rest; ++x) {
+            const float* here = chart.data + at[x];
+            std::memcpy(&above[2 * x], here, 2 * sizeof(float));
+            std::memcpy(&below[2 * x], here + width, 2 * sizeof(float));
+        }
+        for (int x = 0; x < rest; ++x) {
+            const float top = above[2 * x] + fu[x] * (above[2 * x + 1] - above[2 * x]);
+            const float bottom = below[2 * x] + fu[x] * (below[2 * x + 1] - below[2 * x]);
+            out[first + x] = inside[x] * (top + fv[x] * (bottom - top));
+        }
     }
 }
 

@@ -3,9 +3,9 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
-#include <limits>
 #include <vector>
 
+#include "core/between_pixels.hpp"
 #include "core/cubic.hpp"
 #include "core/parallel.hpp"
 
@@ -146,31 +146,57 @@ Sums read(const Image<const float>& value, const Image<const float>& sigma, cons
     return read_known(value, sigma, w);
 }
 
+/// Whether all four pixels around a place are known.
+bool all_known(const Image<const std::uint8_t>& known, float u, float v) {
+    const PixelShare across(u, known.width), down(v, known.height);
+    const std::uint8_t* corner = known.at(down.index, across.index);
+    const int right = across.index + 1 < known.width ? 1 : 0, below = down.index + 1 < known.height ? known.width : 0;
+    return (corner[0] & corner[right] & corner[below] & corner[below + right]) != 0;
+}
+
+/// One row of a chart, in the steps that loops over whole rows vectorise.
+struct ChartRow {
+    std::vector<float> stretch, value, weight, squares;
+
+    explicit ChartRow(int width) : stretch(2 * width), value(width), weight(width), squares(width) {}
+
+    void finish(float* __restrict sampled, float* __restrict deviation, std::uint8_t* __restrict mask) const {
+        for (int x = 0; x < static_cast<int>(value.size()); ++x) {
+            const bool shown = weight[x] >= kMinWeight;
+            const float whole = shown ? weight[x] : 1.0F;
+            sampled[x] = (shown ? value[x] : 0.0F) / whole;
+            deviation[x] = std::sqrt(shown ? squares[x] : 0.0F) / whole;
+            mask[x] = shown ? 1 : 0;
+        }
+    }
+};
+
 }  // namespace
 
-void sample_chart(const Image<const float>& value, const Image<const float>& sigma, const Image<const float>& source,
-                  float interpolated, int threads, const Image<float>& out_value, const Image<float>& out_sigma) {
-    constexpr float nan = std::numeric_limits<float>::quiet_NaN();
+void sample_chart(const Image<const float>& value, const Image<const float>& sigma,
+                  const Image<const std::uint8_t>& known, const Image<const float>& source, float interpolated,
+                  int threads, const SampledChart& out) {
     const auto right = static_cast<float>(value.width - 1), bottom = static_cast<float>(value.height - 1);
     static const Kernels kernels;
     parallel_for(source.height, threads, [&](std::size_t first, std::size_t last) {
-        std::vector<float> stretch(static_cast<std::size_t>(2) * source.width);
+        ChartRow line(source.width);
         for (auto y = static_cast<int>(first); y < static_cast<int>(last); ++y) {
-            stretches(source, y, stretch.data());
+            const float* place = source.row(y);
+            stretches(source, y, line.stretch.data());
             for (int x = 0; x < source.width; ++x) {
-                float& sampled = *out_value.at(y, x);
-                float& deviation = *out_sigma.at(y, x);
-                sampled = deviation = nan;
-                const float *place = source.at(y, x), u = place[0], v = place[1];
+                const float u = place[2 * x], v = place[2 * x + 1];
+                line.weight[x] = 0;
                 if (!(u >= 0 && v >= 0 && u <= right && v <= bottom)) continue;  // NaN: no surface
+                if (!all_known(known, u, v)) continue;
                 int row = 0, column = 0;
-                const Taps& across = kernels.at(u, stretch[2 * x], column);
-                const Taps& down = kernels.at(v, stretch[2 * x + 1], row);
+                const Taps& across = kernels.at(u, line.stretch[2 * x], column);
+                const Taps& down = kernels.at(v, line.stretch[2 * x + 1], row);
                 const Sums sums = read(value, sigma, {row + down.first, column + across.first, down, across});
-                if (sums.weight < kMinWeight) continue;
-                sampled = sums.value / sums.weight;
-                deviation = std::sqrt(sums.squares * (1 + interpolated * (across.gain * down.gain - 1))) / sums.weight;
+                line.value[x] = sums.value;
+                line.weight[x] = sums.weight;
+                line.squares[x] = sums.squares * (1 + interpolated * (across.gain * down.gain - 1));
             }
+            line.finish(out.value.row(y), out.sigma.row(y), out.mask.row(y));
         }
     });
 }

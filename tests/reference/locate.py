@@ -10,8 +10,8 @@ from planish.geometry import transform_points
 def locate_texture(image, own, b, T_b_a, gate):
     """Pixels (h, w, 2) of measurement b at which the pixels of a texture image of a lie; NaN where there is none."""
     v, u = np.nonzero(own)
-    points = transform_points(T_b_a, image.points_sensor[v, u].astype(float))
-    normals = image.normals_sensor[v, u].astype(float) @ T_b_a[:3, :3].T
+    points, normals, _ = (m.astype(float) for m in image.surface.at(image.source_px[v, u]))
+    points, normals = transform_points(T_b_a, points), normals @ T_b_a[:3, :3].T
     pixels = b.camera.project(points)
     rows, columns = b.shape
     with np.errstate(invalid="ignore"):

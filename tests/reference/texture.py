@@ -54,24 +54,63 @@ def local_planes(total, weight, bell, least_weight, thin, steepest):
     return out
 
 
-def camera_contrast(images, ranges, seen, inverse_level, weight, noise, factor, limit):
+def camera_contrast(images, ranges, seen, level, variance, covariance, noise_left, factor, limit):
+    """C^-1 1 for the covariance C of the images that are known, block by block."""
     shape, kinds = images[0].shape, len(images)
     where = seen > 0 if seen.size else True
     known = [(i > low) & (i < high) & where for i, (low, high) in zip(images, ranges, strict=True)]
+    weight, noise = np.zeros((kinds, *level[0].shape)), np.zeros((kinds, kinds, *level[0].shape))
+    for y, x in np.ndindex(*level[0].shape):
+        C = np.diag([float(v[y, x]) for v in variance])
+        if covariance.size:
+            C[0, -1] = C[-1, 0] = covariance[y, x]
+        held = np.isfinite(np.diag(C))
+        if held.any():
+            weight[held, y, x] = np.linalg.solve(C[np.ix_(held, held)], np.ones(held.sum()))
+            weight[:, y, x] /= weight[:, y, x].sum()
+        noise[:, :, y, x] = np.where(np.outer(held, held), C * noise_left, 0)
     weights = [k * spread(w, factor, shape) for k, w in zip(known, weight, strict=True)]
     total = sum(weights)
     grey = [
-        w * np.where(k, i, 0) * between_blocks(m, factor, shape)
-        for w, k, i, m in zip(weights, known, images, inverse_level, strict=True)
+        w * np.where(k, i, 0) * between_blocks(1 / m.astype(float), factor, shape)
+        for w, k, i, m in zip(weights, known, images, level, strict=True)
     ]
-    variance = sum(
-        weights[k] * weights[j] * spread(noise[k * kinds + j], factor, shape)
-        for k in range(kinds)
-        for j in range(kinds)
-    )
+    left = sum(weights[k] * weights[j] * spread(noise[k, j], factor, shape) for k in range(kinds) for j in range(kinds))
     with np.errstate(divide="ignore", invalid="ignore"):
         value = np.where(total > 0, np.clip(sum(grey) / total - 1, -limit, limit), np.nan)
-        return value, np.where(total > 0, variance / total**2, np.nan)
+        return value, np.where(total > 0, left / total**2, np.nan), weight[0]
+
+
+def contrast_scatter(images, ranges, seen, levels, expected, factor, step):
+    """Number of pixels and median absolute deviation of the difference of two kinds over its deviation."""
+    ratios = []
+    for image, (low, high), level in zip(images, ranges, levels, strict=True):
+        relative = image / spread(level, factor, image.shape)
+        ratios.append(np.where((image > low) & (image < high), relative, np.nan))
+    normal = (ratios[1] - ratios[0]) / np.sqrt(spread(expected, factor, images[0].shape))
+    normal[~(seen > 0 if seen.size else np.ones(normal.shape, bool))] = np.nan
+    normal = normal[step // 2 :: step, step // 2 :: step]
+    normal = normal[np.isfinite(normal)]
+    return len(normal), np.median(np.abs(normal - np.median(normal)))
+
+
+def fill_gaps(blocks, otherwise):
+    filled = blocks.astype(float)
+    for _ in range(2):
+        padded, before = np.pad(filled, 1, mode="edge"), filled.copy()
+        for y, x in np.argwhere(np.isnan(before)):
+            around = padded[y : y + 3, x : x + 3]
+            if np.isfinite(around).any():
+                filled[y, x] = np.nanmean(around)
+    return np.where(np.isnan(filled), otherwise, filled)
+
+
+def lambert(points, normals, source, least_cosine):
+    to_light = source - points.astype(float)
+    distance = np.linalg.norm(to_light, axis=-1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unit = normals / np.linalg.norm(normals.astype(float), axis=-1, keepdims=True)
+        return np.maximum((unit * to_light).sum(-1) / distance, least_cosine) / distance**2
 
 
 def taps(place, stretch):
@@ -104,14 +143,16 @@ def at_places(blocks, factor, place):
     return out
 
 
-def compensated_image(value, variance, level, factor, place):
+def compensated_image(value, variance, level, factor, place, seen, gain):
     if place.size:
         grey = at_places(level, factor, place)
         value, variance = read_view(value, variance, place)
     else:
         grey = between_blocks(level, factor, value.shape)
     known = np.isfinite(value) | (place.size == 0)
-    return (1 + value) * grey, np.where(known, variance * grey**2, np.nan)
+    image = (1 + value) * grey
+    sums = block_sums(image, -np.inf, np.inf, seen, factor)
+    return image, np.where(known, gain * variance * grey**2, np.nan), *sums
 
 
 def merge_contrasts(images, valid, factor):
@@ -128,15 +169,17 @@ def merge_contrasts(images, valid, factor):
         return np.where(held, total / weights, np.nan), np.where(held, np.sqrt(noise) / weights, np.nan)
 
 
-def sample_chart(value, sigma, source, stretch, interpolated):
+def sample_chart(value, sigma, known, source, stretch, interpolated):
     """`stretch` (along u, along v) alike for all pixels, which lie inside the map.
 
     Kernels exist for every 256th of a pixel, and for widths in eighths of one.
     """
+    corner = source.astype(int)
+    shown = np.all([known[corner[..., 1] + j, corner[..., 0] + i] > 0 for j in (0, 1) for i in (0, 1)], axis=0)
     source, stretch = np.floor(source * 256 + 0.5) / 256, 1 + np.floor((np.asarray(stretch) - 1) * 8 + 0.5) / 8
     lags = np.array([1.0, 0.15570175, -0.04385965, 0.00219298])
-    out = np.empty((2, *source.shape[:2]))
-    for y, x in np.ndindex(*source.shape[:2]):
+    out = np.zeros((2, *source.shape[:2]))
+    for y, x in np.argwhere(shown):
         (columns, across), (rows, down) = taps(source[y, x, 0], stretch[0]), taps(source[y, x, 1], stretch[1])
         window = np.ix_(rows, columns)
         out[0, y, x] = down @ value[window] @ across
@@ -147,7 +190,7 @@ def sample_chart(value, sigma, source, stretch, interpolated):
             gains.append(w @ correlation @ w / (w @ w))
         squares = (down**2) @ sigma[window] ** 2 @ (across**2)
         out[1, y, x] = np.sqrt(squares * (1 + interpolated * (gains[0] * gains[1] - 1)))
-    return out
+    return *out, shown
 
 
 def remove_pattern(value, variance, own, total, weight, prior, still, gain, factor):

@@ -9,6 +9,7 @@ from typing import Any, Self, TypeVar
 import cv2
 
 from planish.errors import InputError
+from planish.execution.libraries import serial_linear_algebra
 from planish.execution.store import code_version
 
 Item = TypeVar("Item")
@@ -76,4 +77,5 @@ def call_if_same_code(function: Callable[[Item, int], Value], item: Item, code: 
         raise InputError("cluster", "a worker runs another planish, NumPy, SciPy or OpenCV", "the same everywhere")
     # A Dask worker runs as many items as it has threads: one thread for each of them.
     cv2.setNumThreads(1)
-    return function(item, 1)
+    with serial_linear_algebra():
+        return function(item, 1)

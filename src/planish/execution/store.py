@@ -50,8 +50,11 @@ class StageStore:
             content = self.path(stage, key).read_bytes()
         except OSError:
             return None
-        if content[:_BLOCK_BYTES] != _seal(content[_BLOCK_BYTES:]):
+        if content[:_BLOCK_BYTES] != _seal(content):
             return None
+        return self._read(content, stage, key, kind)
+
+    def _read(self, content: bytes, stage: str, key: str, kind: type[T]) -> T | None:
         try:
             with h5py.File(io.BytesIO(content), "r") as file:
                 if (file.attrs["schema"], file.attrs["stage"], file.attrs["key"]) != (SCHEMA, stage, key):
@@ -60,17 +63,17 @@ class StageStore:
         except (InputError, OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError):
             return None
 
-    def write(self, stage: str, key: str, value: Any) -> None:
-        """Write a result under a temporary name, seal it, and rename it."""
+    def write(self, stage: str, key: str, value: Any) -> bytes:
+        """Write a result under a temporary name, seal it, and rename it; return what the file then holds."""
         with storage.replacing(self.path(stage, key)) as temporary:
             with h5py.File(temporary, "w", track_order=True, userblock_size=_BLOCK_BYTES) as file:
                 file.attrs["schema"], file.attrs["stage"], file.attrs["key"] = SCHEMA, stage, key
                 storage.write_fields(file, value)
             with temporary.open("r+b") as plain:
-                plain.seek(_BLOCK_BYTES)
-                seal = _seal(plain.read())
+                content = plain.read()
                 plain.seek(0)
-                plain.write(seal)
+                plain.write(_seal(content))
+        return content
 
     def read_or_make(self, stage: str, key: str, kind: type[T], make: Callable[[], T]) -> tuple[T, bool]:
         """Return a result, and whether it was there; what `make` returns is written and read back.
@@ -80,8 +83,7 @@ class StageStore:
         found = self.read(stage, key, kind)
         if found is not None:
             return found, True
-        self.write(stage, key, make())
-        found = self.read(stage, key, kind)
+        found = self._read(self.write(stage, key, make()), stage, key, kind)
         if found is None:
             raise InputError(self.path(stage, key), "cannot be read back", "a disk that keeps what is written to it")
         return found, False
@@ -93,7 +95,9 @@ class StageStore:
 
 
 def _seal(content: bytes) -> bytes:
-    return (_MARK + hashlib.sha256(content).hexdigest().encode() + b"\n").ljust(_BLOCK_BYTES, b"\0")
+    """Return the block before the HDF5 part of a file that holds `content` after it."""
+    digest = hashlib.sha256(memoryview(content)[_BLOCK_BYTES:]).hexdigest()
+    return (_MARK + digest.encode() + b"\n").ljust(_BLOCK_BYTES, b"\0")
 
 
 def content_key(stage: str, *parts: Any) -> str:

@@ -12,6 +12,7 @@ from typing import Any, BinaryIO
 import cv2
 
 from planish import _core
+from planish.execution.libraries import serial_linear_algebra
 
 
 def main() -> None:
@@ -51,7 +52,8 @@ def _answer(call: bytes) -> bytes:
     try:
         function, item, threads = pickle.loads(call)
         cv2.setNumThreads(threads)
-        return pickle.dumps((True, function(item, threads)))
+        with serial_linear_algebra():
+            return pickle.dumps((True, function(item, threads)))
     except Exception as error:
         return _pickled_error(error)
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planish.errors import InputError
+from planish.execution.libraries import serial_linear_algebra
 from planish.measurement import Measurement
 from planish.options import Options, thread_count
 from planish.rig import Rig
@@ -67,6 +68,7 @@ class MeasureOptions(Options):
     reject: RejectOptions = RejectOptions()
 
 
+@serial_linear_algebra()
 def measure(
     capture: Capture,
     options: MeasureOptions | None = None,

@@ -12,6 +12,7 @@ from planish.errors import InputError
 from planish.evaluation import prepared as evaluation
 from planish.evaluation.overlap import OverlapEvaluation, evaluate_overlap
 from planish.execution.executor import Threads
+from planish.execution.libraries import serial_linear_algebra
 from planish.measurement import Measurement
 from planish.options import thread_count
 from planish.pipeline.options import RegisterOptions
@@ -88,6 +89,7 @@ def register(
     return run.registration
 
 
+@serial_linear_algebra()
 def register_run(
     measurements: Sequence[Measurement],
     options: RegisterOptions | None = None,

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 from planish.errors import InputError
 from planish.execution.executor import Executor, Threads
+from planish.execution.libraries import serial_linear_algebra
 from planish.execution.recent import MAX_NUMBER, RECENT, WORKER_BYTES
 from planish.execution.store import StageStore
 from planish.files.given import GivenFiles, read_given
@@ -51,6 +52,7 @@ Value = TypeVar("Value")
 FileProgress = Callable[[str, int, int, int], None]
 
 
+@serial_linear_algebra()
 def register_files(
     paths: Sequence[Path],
     out: Path,
@@ -98,6 +100,7 @@ def register_files(
     return _Run(Path(out), start, executor, say).go(sources, [list(sources)])
 
 
+@serial_linear_algebra()
 def add_files(
     paths: Sequence[Path],
     to: Path,

@@ -11,6 +11,7 @@ from planish.evaluation.overlap import signed_distances
 from planish.evaluation.prepared import Prepared
 from planish.evaluation.result import Evaluation
 from planish.execution.executor import Executor
+from planish.execution.libraries import serial_linear_algebra
 from planish.geometry import Array, invert
 from planish.options import thread_count
 from planish.pipeline.registering_files import FileRun, OfViews
@@ -63,6 +64,7 @@ def draw_view(drawing: Drawing, threads: int) -> Item:
     return draw(drawing.placed, drawing.index, drawing.plan, item, distances)
 
 
+@serial_linear_algebra()
 def report_files(run: FileRun, out: Path, executor: Executor, truth: Evaluation | None = None) -> Path:
     """Write `report.html` and `figures/*.png` of a registration of files and return the path of the page."""
     registration = run.registration

@@ -67,14 +67,13 @@ def height_by_blur(measurement: Measurement, surface: Surface) -> Map:
     fits, enough = _quadratic_fits(fields, whole, rows, columns)
     v, u = rows * _BIN_PX, columns * _BIN_PX
     with np.errstate(all="ignore"):
-        shift = _phase_shifts(*fits)
+        shift, by_b = _phase_shifts(*fits)
         points = measurement.points_sensor[v, u].astype(float)
         rays = points - measurement.camera.center_sensor
-        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        rays /= np.sqrt(np.einsum("ni,ni->n", rays, rays))[:, None]
         camera = measurement.rig.cameras[other]
         per_mm = camera.project(points + rays) - camera.project(points)
-        J = fits[0][:, 1:3], fits[1][:, 1:3]
-        slope = np.einsum("ni,ni->n", _by_b(np.stack(J, 1), fits[2][:, 1:3]), per_mm)
+        slope = by_b[0] * per_mm[:, 0] + by_b[1] * per_mm[:, 1]
         height = shift / slope * np.einsum("ni,ni->n", rays, normals[v, u])
     sparse = np.full(thinned.shape, np.nan, np.float32)
     sparse[thinned] = np.where(enough & np.isfinite(height), height, np.nan)
@@ -88,31 +87,27 @@ def _means(field: Map) -> Map:
     return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def _phase_shifts(u_b: Array, v_b: Array, phase: Array, light: Array) -> Array:
-    """Shift of a's phase less that of b's (n), from fits (n, 6): value, two slopes, three second derivatives."""
-    own = np.einsum("ni,ni->n", phase[:, 1:3], light[:, 1:3]) + (phase[:, 3] + phase[:, 5]) / 2
-    J = np.stack([u_b[:, 1:3], v_b[:, 1:3]], 1)
-    slope, slope_light = _by_b(J, phase[:, 1:3]), _by_b(J, light[:, 1:3])
+def _phase_shifts(u_b: Array, v_b: Array, phase: Array, light: Array) -> tuple[Array, tuple[Array, Array]]:
+    """Shift of a's phase less that of b's (n), and slopes of the phase per pixel of b (n) along u and v.
+
+    From fits (6, n): value, two slopes, three second derivatives.
+    """
+    own = phase[1] * light[1] + phase[2] * light[2] + (phase[3] + phase[5]) / 2
+    # From a's pixels to b's lead [[p, q], [r, s]]; from b's to a's the inverse, its columns a step along u and along v.
+    p, q, r, s = u_b[1], u_b[2], v_b[1], v_b[2]
+    determinant = p * s - q * r
+    along_u, along_v = (s / determinant, -r / determinant), (-q / determinant, p / determinant)
+    slope, slope_light = (
+        (f[1] * along_u[0] + f[2] * along_u[1], f[1] * along_v[0] + f[2] * along_v[1]) for f in (phase, light)
+    )
     # Chain rule of second derivatives: H_a = J' H_b J + sum of the slopes times the map's own second derivatives.
-    bent = phase[:, 3:] - slope[:, :1] * u_b[:, 3:] - slope[:, 1:] * v_b[:, 3:]
-    H = np.stack([np.stack([bent[:, 0], bent[:, 1]], 1), np.stack([bent[:, 1], bent[:, 2]], 1)], 1)
-    inverse = _inverse(J)
-    laplacian = np.einsum("nji,njk,nki->n", inverse, H, inverse)
-    return np.asarray(own - np.einsum("ni,ni->n", slope, slope_light) - laplacian / 2)
-
-
-def _by_b(J: Array, slope: Array) -> Array:
-    """Slopes (n, 2) per pixel of b from those per pixel of a; J (n, 2, 2) leads from a's pixels to b's."""
-    return np.asarray(np.einsum("nji,nj->ni", _inverse(J), slope))
-
-
-def _inverse(J: Array) -> Array:
-    out = np.stack([np.stack([J[:, 1, 1], -J[:, 0, 1]], 1), np.stack([-J[:, 1, 0], J[:, 0, 0]], 1)], 1)
-    return np.asarray(out / (J[:, 0, 0] * J[:, 1, 1] - J[:, 0, 1] * J[:, 1, 0])[:, None, None])
+    bent = phase[3:] - slope[0] * u_b[3:] - slope[1] * v_b[3:]
+    laplacian = sum(x * x * bent[0] + 2 * x * y * bent[1] + y * y * bent[2] for x, y in (along_u, along_v))
+    return np.asarray(own - slope[0] * slope_light[0] - slope[1] * slope_light[1] - laplacian / 2), slope
 
 
 def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index) -> tuple[list[Array], Array]:
-    """Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 (n, 6) of each field at places (n), by weighted least squares.
+    """Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 (6, n) of each field at places (n), by weighted least squares.
 
     Fields and places are those of means (`_means`), derivatives are per pixel.
     """
@@ -133,19 +128,19 @@ def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index) -> tuple
     # About a plane, so that float32 sums keep what is bent.
     grid_v, grid_u = np.ogrid[: known.shape[0], : known.shape[1]]
     per = np.array([1, 1 / _SCALE_PX, 1 / _SCALE_PX, *[2 / _SCALE_PX**2, 1 / _SCALE_PX**2, 2 / _SCALE_PX**2]])
-    right, planes = [], []
+    inverse, of_rim = np.linalg.inv(inside), np.linalg.inv(at_rim)
+    fits = []
     for field in fields:
         plane = _plane(field, known)
         rest = field - (plane[0] + plane[2] * grid_v).astype(np.float32) - (plane[1] * grid_u).astype(np.float32)
         rest[~known] = 0
-        right.append(np.stack([moment(rest, p, q) for p, q in _POWERS], 1))
-        planes.append(plane)
-    sides = np.stack(right, 2)
-    found = np.linalg.inv(inside) @ sides
-    found[rim] = np.linalg.solve(at_rim, sides[rim])
-    found *= per[:, None]
-    found[:, 1:3] += np.stack(planes, 1)[None, 1:3] / _BIN_PX
-    return [found[:, :, k] for k in range(len(fields))], number > _MIN_SHARE * sums[0] ** 2
+        sides = np.stack([moment(rest, p, q) for p, q in _POWERS])
+        found = inverse @ sides
+        found[:, rim] = np.einsum("nij,jn->in", of_rim, sides[:, rim])
+        found *= per[:, None]
+        found[1:3] += plane[1:, None] / _BIN_PX
+        fits.append(found)
+    return fits, number > _MIN_SHARE * sums[0] ** 2
 
 
 def _products(moments: dict[tuple[int, int], Array]) -> Array:

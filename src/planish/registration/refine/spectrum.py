@@ -7,7 +7,6 @@ spectrum of what they see has that of the texture as its mean (Bendat and Pierso
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -17,6 +16,7 @@ from scipy import fft
 
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
+from planish.registration.refine.smoothing import smooth_map
 
 #: Scales over which spectra are averaged (standard deviation) [cycles per pixel]: by the first the spectrum of a grain
 #: as long as 40 px is resolved; the second finds what is too weak for that.
@@ -111,14 +111,12 @@ def seen_apart(
             image = cv2.remap(image, where, None, cv2.INTER_LINEAR, borderValue=(np.nan,))
         own.append(image)
         known &= np.isfinite(image)
-    blur: Callable[[Map], Map] = lambda image: cv2.GaussianBlur(  # noqa: E731
-        image, (0, 0), shading_px, borderType=cv2.BORDER_CONSTANT
-    )
-    density = blur(known.astype(np.float32))
+    density = smooth_map(known.astype(np.float32), shading_px, shading_px)
     out = []
     for image in own:
         with np.errstate(divide="ignore", invalid="ignore"):
-            contrast = image * density / blur(np.where(known, image, np.float32(0))) - 1
+            light = smooth_map(np.where(known, image, np.float32(0)), shading_px, shading_px)
+            contrast = image * density / light - 1
             contrast = np.clip(contrast, -_MAX_CONTRAST, _MAX_CONTRAST) / sigma
         out.append(np.where(known & inside & np.isfinite(contrast), contrast, np.float32(0)))
     return out[0], out[1]
@@ -128,12 +126,26 @@ def _power(spectrum: NDArray[np.complexfloating]) -> Array:
     return np.asarray(spectrum.real**2 + spectrum.imag**2)
 
 
-def _averaged(half: Array, size: tuple[int, int], scale: float) -> Array:
+def _averaged(half: Array, size: tuple[int, int], scale: float) -> Map:
     """Average of a half spectrum (h, w // 2 + 1) over frequencies around [standard deviation, cycles per pixel]."""
-    # The transform of a Gaussian average is a product with a Gaussian; spectra are periodic.
-    windows = (np.exp(-2 * (np.pi * scale * n * np.fft.fftfreq(n)) ** 2) for n in size)
-    rows, columns = (window.astype(np.float32) for window in windows)
-    lags = fft.irfft2(half.astype(np.float32), size)
-    lags *= rows[:, None]
-    lags *= columns
-    return np.asarray(fft.rfft2(lags, size).real)
+    rows, columns = (scale * n for n in size)
+    around = int(np.ceil(_REACH * rows)), int(np.ceil(_REACH * columns))
+    smooth = smooth_map(_continued(half.astype(np.float32, copy=False), size, around), rows, columns)
+    return smooth[around[0] : around[0] + half.shape[0], around[1] : around[1] + half.shape[1]]
+
+
+#: How far averages over frequencies reach, in standard deviations.
+_REACH = 5.0
+
+
+def _continued(half: Map, size: tuple[int, int], around: tuple[int, int]) -> Map:
+    """Return a half spectrum (h, w // 2 + 1) of a real image, continued by so many rows and columns on all sides.
+
+    Spectra are periodic; those of opposite frequencies are alike.
+    """
+    (rows, columns), width = around, half.shape[1]
+    opposite = np.roll(half[::-1], 1, axis=0)
+    # Behind the highest frequency w // 2 follows that opposite to w - w // 2 - 1.
+    last = size[1] - width
+    left, right = opposite[:, columns:0:-1], opposite[:, last : last - columns : -1]
+    return cv2.copyMakeBorder(np.hstack([left, half, right]), rows, rows, 0, 0, cv2.BORDER_WRAP)

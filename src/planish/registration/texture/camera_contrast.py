@@ -28,7 +28,8 @@ _UNSATURATED = 0.9
 _SPARSE = 8
 #: The covariance of two kinds is held below the smaller variance, so that no weight is negative.
 _MAX_COVARIANCE = 0.9
-
+#: What the kernel takes for noise that is not correlated.
+_NOTHING = np.empty((0, 0), np.float32)
 
 #: Pixels (H, W) that show the surface.
 Seen = NDArray[np.bool_]
@@ -74,33 +75,22 @@ def camera_contrast(measurement: Measurement, name: str, lowpass: Lowpass, limit
     """
     view, seen = measurement.views[name], surface_seen(measurement, name, lowpass)
     kinds = _kinds(view, seen, lowpass)
-    names = list(kinds)
     covariance = _covariance(view, kinds)
     kinds = _with_unexplained(kinds, covariance, seen)
-    weights = _weights(kinds, covariance)
-    zero = np.zeros_like(weights[0])
-
-    def noise(a: str, b: str) -> Map:
-        if a == b:
-            return np.nan_to_num(kinds[a].variance)
-        return zero if covariance is None or "white" in (a, b) else np.nan_to_num(covariance)
-
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = [np.where(k.level > 0, 1 / k.level, np.float32(0)) for k in kinds.values()]
-    value, variance = _core.camera_contrast(
+    value, variance, first_weight = _core.camera_contrast(
         [np.ascontiguousarray(k.image, np.float32) for k in kinds.values()],
         [(k.low, k.high) for k in kinds.values()],
         np.ascontiguousarray(seen).view(np.uint8),
-        inverse,
-        weights,
-        [noise(a, b) * np.float32(lowpass.noise_left()) for a in names for b in names],
+        [k.level for k in kinds.values()],
+        [k.variance for k in kinds.values()],
+        # Mean comes first and modulation last.
+        _NOTHING if covariance is None else covariance,
+        lowpass.noise_left(),
         lowpass.factor,
         limit,
         lowpass.threads,
     )
-    return CameraContrast(
-        value, variance, kinds[names[0]].level, _room_share(kinds, dict(zip(names, weights, strict=True)))
-    )
+    return CameraContrast(value, variance, next(iter(kinds.values())).level, _room_share(kinds, first_weight))
 
 
 def _kinds(view: View, seen: Seen, lowpass: Lowpass) -> dict[str, _Kind]:
@@ -205,47 +195,24 @@ def _with_unexplained(kinds: dict[str, _Kind], covariance: Map | None, seen: See
 def _excess(first: _Kind, other: _Kind, expected: Map, seen: Seen) -> np.float32:
     """Return by what share the variance of the difference of two kinds exceeds the expected (h, w); 0 where unknown."""
     height, width = first.image.shape
-    factor = -(-height // expected.shape[0])
     step = max(1, round(np.sqrt(height * width / _COMPARED)))
-    samples = np.s_[step // 2 :: step, step // 2 :: step]
-    rows, columns = (np.arange(step // 2, n, step) for n in (height, width))
-    blocks = np.ix_(np.minimum(rows // factor, expected.shape[0] - 1), columns // factor)
-    ratios = []
-    with np.errstate(divide="ignore", invalid="ignore"):
-        for kind in (first, other):
-            grey = kind.image[samples]
-            ratios.append(
-                np.where((grey > kind.low) & (grey < kind.high), grey / kind.level[blocks], np.float32(np.nan))
-            )
-        normal = (ratios[1] - ratios[0]) / np.sqrt(expected[blocks])
-    normal = normal[np.isfinite(normal) & seen[samples]]
-    if normal.size < _MIN_COMPARED:
-        return np.float32(0)
-    deviation = _PER_MAD * float(np.median(np.abs(normal - np.median(normal))))
-    return np.float32(max(0.0, deviation**2 - 1.0))
+    count, deviation = _core.contrast_scatter(
+        (np.ascontiguousarray(first.image, np.float32), np.ascontiguousarray(other.image, np.float32)),
+        ((first.low, first.high), (other.low, other.high)),
+        np.ascontiguousarray(seen).view(np.uint8),
+        (first.level, other.level),
+        expected,
+        -(-height // expected.shape[0]),
+        step,
+    )
+    return np.float32(max(0.0, (_PER_MAD * deviation) ** 2 - 1.0) if count >= _MIN_COMPARED else 0.0)
 
 
-def _weights(kinds: dict[str, _Kind], covariance: Map | None) -> list[Map]:
-    """Weights (h, w) of the least variance, their sum 1: C^-1 1 for the covariance C of the kinds; 0 where unknown."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        found = {name: 1 / kind.variance for name, kind in kinds.items()}
-        if covariance is not None:
-            mean, modulation = kinds["mean"].variance, kinds["modulation"].variance
-            held = np.minimum(covariance, np.fmin(mean, modulation))
-            determinant = mean * modulation - held**2
-            both = np.isfinite(determinant) & (determinant > 0)
-            found["mean"] = np.where(both, (modulation - held) / determinant, found["mean"])
-            found["modulation"] = np.where(both, (mean - held) / determinant, found["modulation"])
-    found = {name: np.nan_to_num(weight, nan=0.0, posinf=0.0).astype(np.float32) for name, weight in found.items()}
-    total = np.maximum(sum(found.values(), start=np.float32(0)), np.float32(1e-30))
-    return [(weight / total).astype(np.float32) for weight in found.values()]
-
-
-def _room_share(kinds: dict[str, _Kind], weights: dict[str, Map]) -> Map:
+def _room_share(kinds: dict[str, _Kind], weight_of_mean: Map) -> Map:
     """Share (h, w) of light that is not the projector's: mean = room light + half of white (less dark)."""
     if "mean" not in kinds or "white" not in kinds:
-        return np.zeros_like(next(iter(weights.values())))
+        return np.zeros_like(weight_of_mean)
     mean, white = kinds["mean"].level, kinds["white"].level
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.clip((mean - white / 2) / mean, 0, 1) * weights["mean"]
+        share = np.clip((mean - white / 2) / mean, 0, 1) * weight_of_mean
     return np.nan_to_num(share).astype(np.float32)

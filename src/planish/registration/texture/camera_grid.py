@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from planish import _core
 from planish.measurement import Map, Measurement
 from planish.registration.texture.lowpass import Lowpass
 
@@ -17,18 +18,12 @@ def surface_seen(measurement: Measurement, name: str, lowpass: Lowpass) -> NDArr
     if name == measurement.organised_on:
         return measurement.valid
     width, height = measurement.rig.cameras[name].size_px
-    h, w = lowpass.shape((height, width))
-    places = lowpass.centres(correspondence(measurement, name)).reshape(-1, 2)
-    places = places[np.isfinite(places[:, 0])]
-    column, row = (
-        ((places[:, i] + np.float32(0.5)) / lowpass.factor).astype(np.intp).clip(0, n - 1) for i, n in ((0, w), (1, h))
-    )
-    hit = np.zeros((h, w), np.uint8)
-    hit[row, column] = 1
+    factor = lowpass.factor
+    hit = _core.mark_blocks(lowpass.centres(correspondence(measurement, name)), factor, height, width)
     # The samples lie a block apart, more where this camera sees the surface less obliquely: small holes are closed.
     hit = cv2.morphologyEx(hit, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
-    seen = hit.repeat(lowpass.factor, axis=0).repeat(lowpass.factor, axis=1)
-    return np.ascontiguousarray(seen[:height, :width]).view(np.bool_)
+    whole = cv2.resize(hit, None, fx=factor, fy=factor, interpolation=cv2.INTER_NEAREST)
+    return np.ascontiguousarray(whole[:height, :width]).view(np.bool_)
 
 
 def from_camera_blocks(measurement: Measurement, name: str, maps: Sequence[Map], lowpass: Lowpass) -> tuple[Map, ...]:

@@ -75,7 +75,7 @@ class CameraPattern:
         """
         rest, total = np.zeros_like(value), variance
         for part, band in zip(split_bands(value), self.bands, strict=True):
-            own = None if counted is None else pattern_weights(part, threads) * counted
+            own = None if counted is None else pattern_weights(*block_moments(part, threads)) * counted
             cleaned, total = band.remove(part, total, own, threads)
             rest += cleaned
         # The bands overlap: of a white pattern they hold this share of the variance, the rest is their covariance.
@@ -113,9 +113,13 @@ def split_bands(value: Map) -> tuple[Map, Map]:
     if known.all():
         coarse = cv2.GaussianBlur(value, (0, 0), _SPLIT_PX)
         return value - coarse, coarse
-    total = cv2.GaussianBlur(np.where(known, value, np.float32(0)), (0, 0), _SPLIT_PX)
+    filled = value.copy()
+    cv2.patchNaNs(filled, 0)
+    coarse = cv2.GaussianBlur(filled, (0, 0), _SPLIT_PX)
     share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), _SPLIT_PX)
-    coarse = np.where(known, total / np.maximum(share, np.float32(1e-6)), np.float32(np.nan))
+    # In place: whole frames of temporaries take longer than the arithmetic.
+    np.divide(coarse, np.maximum(share, np.float32(1e-6), out=share), out=coarse)
+    np.copyto(coarse, np.float32(np.nan), where=~known)
     return value - coarse, coarse
 
 
@@ -124,11 +128,10 @@ def block_moments(value: Map, threads: int) -> tuple[Map, Map]:
     return _core.block_sums(value * value, -np.inf, np.inf, EVERYWHERE, BLOCK_PX, threads)
 
 
-def pattern_weights(value: Map, threads: int) -> Map:
-    """Return 1 / variance (h, w) of a contrast (H, W) around each block: texture, pattern and noise together."""
+def pattern_weights(squares: Map, count: Map) -> Map:
+    """Return 1 / variance (h, w) of a contrast around each block by its moments: texture, pattern, noise together."""
     squares, count = (
-        cv2.GaussianBlur(m, (0, 0), _VARIANCE_BLOCKS, borderType=cv2.BORDER_CONSTANT)
-        for m in block_moments(value, threads)
+        cv2.GaussianBlur(m, (0, 0), _VARIANCE_BLOCKS, borderType=cv2.BORDER_CONSTANT) for m in (squares, count)
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         variance = np.maximum(squares / count, np.float32(_MIN_DEVIATION**2))

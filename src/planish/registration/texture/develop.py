@@ -89,9 +89,10 @@ def surface_nodes(surface: Surface, step_px: int) -> Nodes:
     everything = Nodes(step_px, (rows, columns), np.arange(rows * columns), points, normals, edges)
     known = everything.take(index)
     i, j = known.edges.T
-    d = known.points[j] - known.points[i]
-    lift = np.abs(_dot(known.normals[[i, j]], d)).max(0)
-    hangs = (_dot(known.normals[i], known.normals[j]) > _MIN_COSINE) & (lift < _MAX_LIFT * np.linalg.norm(d, axis=1))
+    d = known.points.take(j, 0) - known.points.take(i, 0)
+    n_i, n_j = (known.normals.take(ends, 0) for ends in (i, j))
+    lift = np.maximum(np.abs(_dot(n_i, d)), np.abs(_dot(n_j, d)))
+    hangs = (_dot(n_i, n_j) > _MIN_COSINE) & (lift < _MAX_LIFT * np.linalg.norm(d, axis=1))
     return Nodes(step_px, known.shape, index, known.points, known.normals, known.edges[hangs])
 
 
@@ -121,17 +122,17 @@ def unroll(nodes: Nodes, x_hint: Array) -> tuple[Array, Array, Array]:
     start = x_hint - (x_hint @ mean) * mean
     x = _transport(np.broadcast_to(start / np.linalg.norm(start), n.shape), np.broadcast_to(mean, n.shape), n)
     y = np.cross(x, n)
-    carried = _transport(x[i], n[i], n[j])
-    turn = np.arctan2(_dot(carried, y[j]), _dot(carried, x[j]))
+    carried = _transport(x.take(i, 0), n.take(i, 0), n.take(j, 0))
+    turn = np.arctan2(_dot(carried, y.take(j, 0)), _dot(carried, x.take(j, 0)))
     solve = _sums_over_edges(nodes.edges, len(n))
     angle = solve(turn)
     angle -= np.median(angle)
     cosine, sine = np.cos(angle)[:, None], np.sin(angle)[:, None]
     axes = np.stack([cosine * x + sine * y, cosine * y - sine * x], 1)
     arcs, steps = _arcs(nodes)
-    projected = 0.5 * np.einsum("eki,ei->ek", axes[i] + axes[j], steps)
+    projected = 0.5 * np.einsum("eki,ei->ek", axes.take(i, 0) + axes.take(j, 0), steps)
     coordinates = np.stack([solve(projected[:, 0]), solve(projected[:, 1])], 1)
-    length = np.linalg.norm(coordinates[j] - coordinates[i], axis=1)
+    length = np.linalg.norm(coordinates.take(j, 0) - coordinates.take(i, 0), axis=1)
     return coordinates, axes, length / np.linalg.norm(arcs, axis=1) - 1
 
 
@@ -142,7 +143,7 @@ def _arcs(nodes: Nodes) -> tuple[Array, Array]:
     the mean of the unit tangents sees of the chord is cos(t / 2) of that.
     """
     i, j = nodes.edges.T
-    d, bend = nodes.points[j] - nodes.points[i], nodes.normals[j] - nodes.normals[i]
+    d, bend = (m.take(j, 0) - m.take(i, 0) for m in (nodes.points, nodes.normals))
     size = np.linalg.norm(bend, axis=1)
     turn = 2 * np.arcsin(np.minimum(size / 2, 1))
     across = bend / np.maximum(size, 1e-12)[:, None]
@@ -154,9 +155,10 @@ def _arcs(nodes: Nodes) -> tuple[Array, Array]:
 def _sums_over_edges(edges: NDArray[np.int64], count: int) -> Callable[[Array], Array]:
     """Return the function that finds values (N,) from their differences (E,) along the edges, the first being 0.
 
-    Nodes are numbered along rows, so that the matrix of the normal equations is a band as wide as a row is long.
+    Nodes are numbered along rows, the first of an edge before the second: the matrix of the normal equations is a band
+    as wide as a row is long.
     """
-    i, j = np.sort(edges, axis=1).T
+    i, j = edges.T
     width = int((j - i).max(initial=0))
     # Lower form of LAPACK: row k holds the k-th diagonal below the main one.
     band = np.zeros((width + 1, count))
@@ -174,10 +176,16 @@ def _sums_over_edges(edges: NDArray[np.int64], count: int) -> Callable[[Array], 
 
 def _transport(v: Array, n: Array, to: Array) -> Array:
     """Turn tangents v (N, 3) by the shortest rotation of normals n onto `to`."""
-    axis = np.cross(n, to)
-    turned = np.cross(axis, v)
-    return v + turned + np.cross(axis, turned) / (1 + _dot(n, to))[:, None]
+    axis = _cross(n, to)
+    turned = _cross(axis, v)
+    return v + turned + _cross(axis, turned) / (1 + _dot(n, to))[:, None]
+
+
+def _cross(a: Array, b: Array) -> Array:
+    # By columns; np.cross takes several times as long for short vectors.
+    (a_x, a_y, a_z), (b_x, b_y, b_z) = a.T, b.T
+    return np.stack([a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x], 1)
 
 
 def _dot(a: Array, b: Array) -> Array:
-    return np.asarray((a * b).sum(-1))
+    return np.einsum("...i,...i->...", a, b)

@@ -14,13 +14,14 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from planish import _core
 from planish.errors import InputError
 from planish.measurement import Map, Measurement
-from planish.options import thread_count
+from planish.options import side_by_side, thread_count
 from planish.registration.texture.camera_contrast import camera_contrast
 from planish.registration.texture.camera_pattern import (
     BAND_CELLS_PX,
@@ -99,9 +100,10 @@ class BandSums:
 
     def add(self, value: Map, noise: Map, counted: Map, threads: int) -> None:
         """Add a capture's band (H, W), its noise variances and whether it counts per block (h, w)."""
-        weight = pattern_weights(value, threads) * counted
+        squares, count = block_moments(value, threads)
+        weight = pattern_weights(squares, count) * counted
         _core.add_to_pattern(value, weight, BLOCK_PX, self.weighted_sum, self.weight, threads)
-        self.moments.add(weight, *block_moments(value, threads), noise)
+        self.moments.add(weight, squares, count, noise)
 
     def merge(self, other: BandSums) -> None:
         """Add the sums over other captures."""
@@ -120,9 +122,9 @@ class PatternSums:
 
     def pattern(self, members: Iterable[str]) -> FixedPattern:
         """Return the pattern that these sums tell of; `members` are the names of their captures."""
-        cameras = {}
+        cameras, stood_still = {}, self.still.share()
         for name, bands in self.cameras.items():
-            share = self.still.share(bands[0].moments.shape, own=name == self.organised_on)
+            share = self.still.at_camera(stood_still, bands[0].moments.shape, own=name == self.organised_on)
             fine, coarse = (
                 BandPattern(
                     sums.weighted_sum,
@@ -162,16 +164,26 @@ def add_sums(parts: Iterable[PatternSums]) -> PatternSums:
 
 
 def _add(sums: PatternSums, measurement: Measurement, options: PhotometricOptions, threads: int) -> None:
-    lowpass = Lowpass.of(options.shading_mm / ground_sample_distance(measurement), threads)
-    values: dict[str, Map] = {}
-    for name in measurement.texture_views:
+    # What the organising camera sees tells what stood still, also where only the other one serves as texture.
+    names = tuple(dict.fromkeys((*measurement.texture_views, measurement.organised_on)))
+    # Cameras side by side: much of each is too small to be shared out by rows.
+    own = max(1, threads // len(names))
+    lowpass = Lowpass.of(options.shading_mm / ground_sample_distance(measurement), own)
+    for name in names:
+        width, height = measurement.rig.cameras[name].size_px
+        if name not in sums.cameras:
+            sums.cameras[name] = BandSums.of((height, width)), BandSums.of((height, width))
+
+    def add_camera(name: str) -> tuple[Map, Map]:
+        """Add what a camera saw; return its contrast and which blocks count."""
         seen = camera_contrast(measurement, name, lowpass, options.max_contrast)
-        values[name], shape = seen.value, (seen.value.shape[0], seen.value.shape[1])
-        bands = sums.cameras.setdefault(name, (BandSums.of(shape), BandSums.of(shape)))
         counted = counted_blocks(measurement, name)
-        noise, _ = _core.block_sums(seen.variance, -np.inf, np.inf, EVERYWHERE, BLOCK_PX, threads)
-        for band, part, share in zip(bands, split_bands(seen.value), BAND_NOISE, strict=True):
-            band.add(part, noise * np.float32(share), counted, threads)
-        if name == measurement.organised_on:
-            weight = pattern_weights(seen.value, threads) * counted
-    sums.still.add(measurement, values, weight)
+        noise, _ = _core.block_sums(seen.variance, -np.inf, np.inf, EVERYWHERE, BLOCK_PX, own)
+        for band, part, share in zip(sums.cameras[name], split_bands(seen.value), BAND_NOISE, strict=True):
+            band.add(part, noise * np.float32(share), counted, own)
+        return seen.value, counted
+
+    found = dict(zip(names, side_by_side([partial(add_camera, name) for name in names], threads), strict=True))
+    value, counted = found[measurement.organised_on]
+    weight = pattern_weights(*block_moments(value, threads)) * counted
+    sums.still.add(measurement, {name: seen for name, (seen, _) in found.items()}, weight)

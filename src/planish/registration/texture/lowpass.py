@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -75,19 +74,8 @@ class Lowpass:
         return -(-image_shape[0] // self.factor), -(-image_shape[1] // self.factor)
 
     def centres(self, image: Map) -> Map:
-        """Return every block's central pixel of an image (H, W) or (H, W, C)."""
-        half = self.factor // 2
-        h, w = self.shape((image.shape[0], image.shape[1]))
-        whole = np.ascontiguousarray(image[half :: self.factor, half :: self.factor])
-        # The last blocks may end before their centre.
-        missing = (h - whole.shape[0], w - whole.shape[1])
-        if not any(missing):
-            return whole
-        rows, columns = (
-            np.minimum(np.arange(n) * self.factor + half, size - 1)
-            for n, size in ((h, image.shape[0]), (w, image.shape[1]))
-        )
-        return image[np.ix_(rows, columns)]
+        """Return every block's central pixel (h, w, C) of an image (H, W, C)."""
+        return _core.block_centres(np.ascontiguousarray(image, np.float32), self.factor)
 
     def noise_left(self, passes: int = 1) -> float:
         """Share of a pixel's own variance that is left where one or two passes of the low-pass are taken from it.
@@ -101,13 +89,4 @@ class Lowpass:
 
 def fill_gaps(blocks: Map, default: float) -> Map:
     """Return blocks (h, w) with NaN replaced by the mean of known neighbours, two blocks far, then by `default`."""
-    filled = blocks.astype(np.float32)
-    for _ in range(2):
-        known = np.isfinite(filled)
-        if known.all():
-            return filled
-        count = cv2.blur(known.astype(np.float32), (3, 3), borderType=cv2.BORDER_REPLICATE)
-        total = cv2.blur(np.where(known, filled, np.float32(0)), (3, 3), borderType=cv2.BORDER_REPLICATE)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            filled = np.where(known, filled, np.where(count > 0, total / count, np.float32(np.nan)))
-    return np.nan_to_num(filled, nan=default)
+    return _core.fill_gaps(np.ascontiguousarray(blocks, np.float32), default)

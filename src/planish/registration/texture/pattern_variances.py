@@ -111,8 +111,8 @@ class StillTexture:
         self.captures += other.captures
         _accumulate(self.maps, other.maps)
 
-    def share(self, shape: tuple[int, int], own: bool) -> Array:
-        """Return the share (h, w) of the texture's variance that stood still, for a camera of h x w blocks."""
+    def share(self) -> Array:
+        """Return the share of the texture's variance that stood still, on the blocks of the organising camera."""
         assert self.own is not None
         assert self.other is not None
         assert self.count is not None
@@ -127,12 +127,15 @@ class StillTexture:
             # What chance explains is no still texture, or dust beside it would stay.
             certain = np.clip(2 * between / chance - 1, 0, 1)
             shared = certain * between / pairs
-            found = np.nan_to_num(shared / within, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 1)
+            return np.asarray(np.nan_to_num(shared / within, nan=0.0, posinf=0.0, neginf=0.0).clip(0, 1))
+
+    def at_camera(self, share: Array, shape: tuple[int, int], own: bool) -> Array:
+        """Return what `share` has found on the h x w blocks of a camera, the organising one or the other."""
+        if not own:
+            return self._at_other(share, shape)
         out = np.zeros(shape)
-        if own:
-            out[: found.shape[0]] = found[: shape[0], : shape[1]]
-            return out
-        return self._at_other(found, shape)
+        out[: share.shape[0]] = share[: shape[0], : shape[1]]
+        return out
 
     def _at_other(self, found: Array, shape: tuple[int, int]) -> Array:
         """Carry a map to where the blocks lie in the other camera, on average: what stands still lies there always."""
@@ -221,8 +224,12 @@ def _smooth(blocks: Array, width: float) -> Array:
 
 def _columns(rows: NDArray[Any]) -> Array:
     """Sum a map (h, W) over blocks of columns."""
-    padded = np.pad(rows, ((0, 0), (0, -rows.shape[1] % BLOCK_PX)))
-    return padded.reshape(rows.shape[0], -1, BLOCK_PX).sum(2)
+    padded = np.pad(rows, ((0, 0), (0, -rows.shape[1] % BLOCK_PX))).reshape(rows.shape[0], -1, BLOCK_PX)
+    # Column by column: NumPy's sum over an axis as short as this takes several times as long.
+    total = padded[..., 0].astype(np.result_type(rows.dtype, np.int8))
+    for k in range(1, BLOCK_PX):
+        total += padded[..., k]
+    return total
 
 
 def _blocks(image: NDArray[Any]) -> Array:

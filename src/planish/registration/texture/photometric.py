@@ -119,9 +119,11 @@ def _image(
     own = name == measurement.organised_on
     place = np.empty((0, 0, 2), np.float32) if own else correspondence(measurement, name)
     level = fill_gaps(view.level, 0.0)
-    image, variance = _core.compensated_image(view.value, view.variance, level, lowpass.factor, place, lowpass.threads)
-    # Over the same pixels for all cameras and the light.
-    total, count = lowpass.sums(image, seen=measurement.valid)
+    # The low-pass is taken twice, and over the same pixels for all cameras and the light.
+    gain, seen = lowpass.noise_left(2) / lowpass.noise_left(), measurement.valid.view(np.uint8)
+    image, variance, total, count = _core.compensated_image(
+        view.value, view.variance, level, lowpass.factor, place, seen, gain, lowpass.threads
+    )
     expected = lowpass.ratio(total, count)
     if relative is not None:
         # With I = albedo S, lowpass(I) S / lowpass(S) is S times the local mean of the albedo, weighted by S. Room
@@ -129,7 +131,6 @@ def _image(
         room = fill_gaps(room, 0.0)
         expected = expected * (relative + room * (1 - relative))
     expected = expected * _left_over(total, count, expected, lowpass)
-    variance *= np.float32(lowpass.noise_left(2) / lowpass.noise_left())
     return image, variance, expected
 
 

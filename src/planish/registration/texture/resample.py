@@ -13,6 +13,7 @@ from planish.measurement import Map, Measurement
 from planish.options import thread_count
 from planish.registration.surface import Surface
 from planish.registration.texture.charts import Chart, ChartOptions, plan_charts
+from planish.registration.texture.unrolled import UnrolledSurface
 from planish.registration.tiles import ground_sample_distance
 
 #: Triangles with an edge longer than this many sample distances bridge a gap and are left out.
@@ -41,22 +42,22 @@ class TextureImage:
         Standard deviation of `value` from camera noise.
     mask : ndarray (h, w) bool
         Where the chart holds surface and texture.
-    points_sensor, normals_sensor : ndarray (h, w, 3) float32
-        Point [mm] and unit normal of the surface.
-    x_axis_sensor : ndarray (h, w, 3) float32
-        Unit tangent of the surface along the picture's x; its y is x cross normal.
     source_px : ndarray (h, w, 2) float32
-        Pixel (u, v) of the organising camera; NaN, as the three before, where there is no surface.
+        Pixel (u, v) of the organising camera; NaN where there is no surface.
+    surface : UnrolledSurface
+        The surface at these pixels; its x axis is the picture's.
     """
 
     pitch_mm: float = field(metadata={"unit": "mm"})
     value: Map
     sigma: Map
     mask: NDArray[np.bool_]
-    points_sensor: Map = field(metadata={"unit": "mm"})
-    normals_sensor: Map
-    x_axis_sensor: Map
     source_px: Map = field(metadata={"unit": "px"})
+    surface: UnrolledSurface
+
+    def points_at(self, row: NDArray[np.integer], column: NDArray[np.integer]) -> Array:
+        """Return the points (N, 3) of the surface [mm] at pixels of the picture; NaN where there are none."""
+        return self.surface.at(self.source_px[row, column])[0].astype(float)
 
     def locate(self, xy: Array, angle_rad: Array) -> tuple[Array, Array, Array]:
         """Return where places of the picture lie on the part.
@@ -78,8 +79,7 @@ class TextureImage:
         pixels : ndarray (N, 2)
             Pixel (u, v) of the organising camera.
         """
-        maps = self.points_sensor, self.normals_sensor, self.x_axis_sensor, self.source_px
-        points, normals, x, pixels = (self._interpolated(image, xy) for image in maps)
+        pixels, points, normals, x = self._interpolated(xy)
         with np.errstate(invalid="ignore"):
             normals /= np.linalg.norm(normals, axis=1, keepdims=True)
             x -= normals * (x * normals).sum(1, keepdims=True)
@@ -87,18 +87,20 @@ class TextureImage:
         direction = np.cos(angle_rad)[:, None] * x + np.sin(angle_rad)[:, None] * np.cross(x, normals)
         return points, np.stack([direction, np.cross(normals, direction), normals], axis=2), pixels
 
-    def _interpolated(self, image: Map, xy: Array) -> Array:
+    def _interpolated(self, xy: Array) -> tuple[Array, ...]:
+        """Camera pixels (N, 2), points, normals and x axes (N, 3) between the four pixels around each place."""
         height, width = self.mask.shape
         corner = np.clip(np.floor(xy).astype(int), 0, [max(0, width - 2), max(0, height - 2)])
         far = np.minimum(corner + 1, [width - 1, height - 1])
         share = xy - corner
-        inside: NDArray[np.bool_] = np.all((xy >= 0) & (xy <= [width - 1, height - 1]), axis=1)
-        out = np.zeros((len(xy), image.shape[2]))
-        for column, wx in ((corner[:, 0], 1 - share[:, 0]), (far[:, 0], share[:, 0])):
-            for row, wy in ((corner[:, 1], 1 - share[:, 1]), (far[:, 1], share[:, 1])):
-                out += (wx * wy)[:, None] * image[row, column]
-                inside &= self.mask[row, column]
-        return np.where(inside[:, None], out, np.nan)
+        columns = np.stack([corner[:, 0], corner[:, 0], far[:, 0], far[:, 0]])
+        rows = np.stack([corner[:, 1], far[:, 1], corner[:, 1], far[:, 1]])
+        x, y = share.T
+        weights = np.stack([(1 - x) * (1 - y), (1 - x) * y, x * (1 - y), x * y])[..., None]
+        inside = np.all((xy >= 0) & (xy <= [width - 1, height - 1]), axis=1) & self.mask[rows, columns].all(0)
+        source = self.source_px[rows, columns]
+        means = ((weights * values).sum(0) for values in (source, *self.surface.at(source)))
+        return tuple(np.where(inside[:, None], mean, np.nan) for mean in means)
 
 
 def texture_images(
@@ -126,20 +128,15 @@ def _resample(
 ) -> TextureImage | None:
     gsd_mm = ground_sample_distance(measurement)
     max_height = _MAX_HEIGHT * chart.step_px * gsd_mm
-    places, extent = _core.chart_coordinates(surface.points_sensor, chart.maps, chart.step_px, max_height, threads)
+    places, known, extent = _core.chart_coordinates(
+        surface.points_sensor, chart.maps, chart.step_px, max_height, threads
+    )
     left, top, right, bottom = extent
     if not right >= left:
         return None
     width, height = (int(np.ceil(size / pitch_mm)) + 1 for size in (right - left, bottom - top))
     source = _core.rasterise_chart(places, left, top, pitch_mm, _MAX_EDGE_GSD * gsd_mm, height, width, threads)
-    points, normals, x_axis = _core.chart_surface(
-        source, surface.points_sensor, surface.normals_sensor, chart.maps, chart.step_px, threads
-    )
     interpolated = _INTERPOLATED_SHARE if len(measurement.texture_views) > 1 else 0.0
-    value, sigma = _core.sample_chart(*contrast, source, interpolated, threads)
-    # NaN in a sum is NaN in one of its terms.
-    mask = np.isfinite(value + sigma + points[..., 2] + normals[..., 2])
-    return TextureImage(
-        pitch_mm, np.where(mask, value, np.float32(0)), np.where(mask, sigma, np.float32(0)), mask, points, normals,
-        x_axis, source,
-    )  # fmt: skip
+    value, sigma, mask = _core.sample_chart(*contrast, known, source, interpolated, threads)
+    unrolled = UnrolledSurface(surface.points_sensor, surface.normals_sensor, chart.maps, chart.step_px)
+    return TextureImage(pitch_mm, value, sigma, mask.view(np.bool_), source, unrolled)

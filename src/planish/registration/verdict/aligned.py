@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -22,6 +23,11 @@ class Side:
     measurement: Measurement
     images: tuple[TextureImage, ...]
     contrast: tuple[Map, Map]
+
+    @cached_property
+    def texture(self) -> Map:
+        """The local contrast (H, W), 0 where unknown."""
+        return np.nan_to_num(self.contrast[0], nan=0.0)
 
 
 @dataclass(frozen=True)
@@ -71,8 +77,8 @@ def _asked(
 
 def _align_one(own: NDArray[np.bool_], image: TextureImage, b: Side, T_a_b: Array, gate_mm: float) -> Aligned:
     source = _core.locate_texture(
-        np.ascontiguousarray(image.points_sensor, np.float32), np.ascontiguousarray(image.normals_sensor, np.float32),
-        own.view(np.uint8), b.measurement.camera.kernel_parameters,
+        image.source_px, own.view(np.uint8), image.surface.points_sensor, image.surface.normals_sensor,
+        b.measurement.camera.kernel_parameters,
         np.ascontiguousarray(b.measurement.points_sensor, np.float32), invert(T_a_b), gate_mm, 1,
     )  # fmt: skip
     common = np.isfinite(source[..., 0])
@@ -84,7 +90,7 @@ def _align_one(own: NDArray[np.bool_], image: TextureImage, b: Side, T_a_b: Arra
         source[~common] = np.nan
         at, sigma_b = at[known], sigma_b[known]
     value, sigma = np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
-    value[common] = sample(np.nan_to_num(b.contrast[0], nan=0.0), at, nearest_outside=True)
+    value[common] = sample(b.texture, at, nearest_outside=True)
     sigma[common] = sigma_b
     return Aligned(image, common, value, sigma, source)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -58,10 +61,11 @@ def log10_by_matches(matches: Matches, candidate: Candidate, coarse: CoarseResul
     if search.chance is not None:
         return log10_false_alarms(candidate.places, coarse.places, search.chance, search.tried)
     distance = np.linalg.norm(matches.points_a - transform_points(T_a_b, matches.points_b), axis=1)
+    chance = _Chance(matches, T_a_b, coarse)
     best = 0.0
     for share in _TOLERANCES:
         agreeing = members[distance[members] <= share * coarse.options.tolerance_mm]
-        best = min(best, _log10_tail(matches, agreeing, T_a_b, coarse, share))
+        best = min(best, chance.log10_tail(agreeing, share))
     several = np.log10(len(_TOLERANCES)) if best < 0 else 0.0
     return float(np.log10(max(coarse.places, 2) ** 2 / 2) + best + several)
 
@@ -73,26 +77,54 @@ _TOLERANCES = (1.0, 0.5, 0.25)
 _APART = 1.5
 
 
-def _log10_tail(
-    matches: Matches,
-    agreeing: NDArray[np.int64],
-    T_a_b: Array,
-    coarse: CoarseResult,
-    share: float,
-) -> float:
-    """log10 of the chance that so many places agree within a share of the tolerance; two of them fix the transform."""
-    apart_mm = max(_APART * coarse.search.looked_at_mm, coarse.options.distinct_mm)
-    places = count_places(matches.points_a[agreeing], apart_mm)
-    if places < 3:
-        return 0.0
-    nearly, near_chance = _nearly_agreeing(matches, T_a_b, coarse, share)
-    everything = np.ones(len(matches), bool)
-    whole_chance = share**2 * chance_of_agreement(matches, T_a_b, coarse)
-    # Places are counted greedily: few of all can be fewer than those of a part of them.
-    trials = [max(count_places(matches.points_a[chosen], apart_mm), places) for chosen in (everything, nearly)]
-    # All matches of a place lead anywhere, each to a chance of its own; those that nearly agree lead the same way.
-    of_place = min(1.0, whole_chance * max(1.0, len(matches) / trials[0])), near_chance
-    return max(log10_binomial_tail(places - 2, n - 2, p) for n, p in zip(trials, of_place, strict=True))
+@dataclass(frozen=True)
+class _Chance:
+    """What chance explains of the agreement of matches with T_a_b; what all tolerances share is computed once."""
+
+    matches: Matches
+    T_a_b: Array
+    coarse: CoarseResult
+
+    def log10_tail(self, agreeing: NDArray[np.int64], share: float) -> float:
+        """log10 of the chance that so many places agree within a share of the tolerance; two fix the transform."""
+        places = self._places(self.matches.points_a[agreeing])
+        if places < 3:
+            return 0.0
+        whole_chance = share**2 * self._of_agreement
+        # Places are counted greedily: few of all can be fewer than those of a part of them.
+        trials = [max(n, places) for n in self._all_places]
+        # All matches of a place lead anywhere, each to a chance of its own; those that nearly agree lead the same way.
+        of_place = min(1.0, whole_chance * max(1.0, len(self.matches) / trials[0])), self._nearly[1].within(share)
+        return max(log10_binomial_tail(places - 2, n - 2, p) for n, p in zip(trials, of_place, strict=True))
+
+    def _places(self, points: Array) -> int:
+        return count_places(points, max(_APART * self.coarse.search.looked_at_mm, self.coarse.options.distinct_mm))
+
+    @cached_property
+    def _of_agreement(self) -> float:
+        return chance_of_agreement(self.matches, self.T_a_b, self.coarse)
+
+    @cached_property
+    def _nearly(self) -> tuple[NDArray[np.bool_], _Neighbourhood]:
+        return _nearly_agreeing(self.matches, self.T_a_b, self.coarse)
+
+    @cached_property
+    def _all_places(self) -> tuple[int, int]:
+        """Places of all matches, and of those that nearly agree."""
+        return self._places(self.matches.points_a), self._places(self.matches.points_a[self._nearly[0]])
+
+
+@dataclass(frozen=True)
+class _Neighbourhood:
+    """Distances of neighbours' partners (n,) from matches that nearly agree, in tolerances."""
+
+    tolerances: Array
+
+    def within(self, share: float) -> float:
+        """Return the chance that a match that nearly agrees does so exactly, within a share of the tolerance."""
+        even = (share * _FREEDOM / _NEARLY_TOLERANCES) ** 2
+        agree = np.count_nonzero(self.tolerances <= share * _FREEDOM)
+        return float(max((agree + _PRIOR_PAIRS * even) / (len(self.tolerances) + _PRIOR_PAIRS), even))
 
 
 #: The density of places near a place is averaged over this many tolerances.
@@ -121,10 +153,8 @@ def chance_of_agreement(matches: Matches, T_a_b: Array, coarse: CoarseResult) ->
     return float(np.clip(max(density * (_FREEDOM / _DENSITY_TOLERANCES) ** 2, coarse.chance), 1e-12, 1.0))
 
 
-def _nearly_agreeing(
-    matches: Matches, T_a_b: Array, coarse: CoarseResult, share: float
-) -> tuple[NDArray[np.bool_], float]:
-    """Which matches (M,) nearly agree, and the chance that one of them agrees exactly."""
+def _nearly_agreeing(matches: Matches, T_a_b: Array, coarse: CoarseResult) -> tuple[NDArray[np.bool_], _Neighbourhood]:
+    """Which matches (M,) nearly agree, and what tells the chance that one of them agrees exactly."""
     options = coarse.options
     reach = _NEARLY_TOLERANCES * options.tolerance_mm
     moved = np.asarray(transform_points(T_a_b, matches.points_b), float)
@@ -133,10 +163,7 @@ def _nearly_agreeing(
     near &= _turned_alike(matches, T_a_b, own, own, coarse)
     points_a, moved = matches.points_a[near], moved[near]
     i, j = _pairs_within(points_a, points_a, reach)
-    agree = np.linalg.norm(points_a[i] - moved[j], axis=1) <= share * _FREEDOM * options.tolerance_mm
-    even = (share * _FREEDOM / _NEARLY_TOLERANCES) ** 2
-    chance = (agree.sum() + _PRIOR_PAIRS * even) / (len(i) + _PRIOR_PAIRS)
-    return np.asarray(near), float(max(chance, even))
+    return np.asarray(near), _Neighbourhood(np.linalg.norm(points_a[i] - moved[j], axis=1) / options.tolerance_mm)
 
 
 def _pairs_within(a: Array, b: Array, reach: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

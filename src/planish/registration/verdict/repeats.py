@@ -40,14 +40,15 @@ def rival_transforms(a: Side, b: Side, T_a_b: Array, apart_mm: float, gate_mm: f
         return []
     step = max(1, -(-max(chart.common.shape) // _MAX_SIDE_PX))
     size = fft.next_fast_len(2 * -(-max(chart.common.shape) // step))
-    F_a = fft.rfft2(_drawn(chart.image.value, chart.image.mask, np.eye(2, 3) / step, size))
+    F_a = fft.rfft2(_drawn(_smoothed(chart.image.value, chart.image.mask, step), np.eye(2, 3) / step, size))
+    value_b = _smoothed(chart.value_b, chart.common, step)
     reach = max(1, round(apart_mm / (chart.image.pitch_mm * step)))
     middle = np.argwhere(chart.common).mean(0)[::-1]
     chosen: list[Array] = []
     own = 0.0
     for quarter in range(4):
         turn = _turned(quarter, middle)
-        surface = _correlation(F_a, _drawn(chart.value_b, chart.common, turn / step, size))
+        surface = _correlation(F_a, _drawn(value_b, turn / step, size))
         if quarter == 0:
             own = _taken_out(surface, 0, 0, reach)
         if own <= 0:
@@ -69,14 +70,16 @@ def _turned(quarter: int, middle: Array) -> Array:
     return np.column_stack([R, middle - R @ middle])
 
 
-def _drawn(value: Map, known: NDArray[np.bool_], A: Array, size: int) -> Map:
-    """The picture (size, size) that the affine map A (2, 3) makes of a texture; 0 where unknown."""
+def _smoothed(value: Map, known: NDArray[np.bool_], step: int) -> Map:
+    """A texture (h, w) without what stands out, smoothed so far that every `step`-th pixel says it all."""
     limit = 4 * 1.4826 * float(np.median(np.abs(value[known]))) if known.any() else 0.0
     clipped = np.clip(value, -limit, limit)
-    factor = float(np.linalg.norm(A[:, 0]))
-    if factor < 1:
-        clipped = cv2.GaussianBlur(clipped, (0, 0), 0.5 / factor)
-    return np.asarray(cv2.warpAffine(clipped, A, (size, size), flags=cv2.INTER_LINEAR), np.float32)
+    return np.asarray(cv2.GaussianBlur(clipped, (0, 0), 0.5 * step) if step > 1 else clipped)
+
+
+def _drawn(value: Map, A: Array, size: int) -> Map:
+    """The picture (size, size) that the affine map A (2, 3) makes of a texture."""
+    return np.asarray(cv2.warpAffine(value, A, (size, size), flags=cv2.INTER_LINEAR), np.float32)
 
 
 def _correlation(F_a: Array, b: Map) -> Map:
@@ -120,8 +123,8 @@ def _rigid(chart: Aligned, A: Array, gate_mm: float) -> Array | None:
     inside[inside] &= chart.image.mask[to_row[inside], to_column[inside]]
     if inside.sum() < _MIN_PLACES:
         return None
-    before = chart.image.points_sensor[rows[inside], columns[inside]].astype(float)
-    after = chart.image.points_sensor[to_row[inside], to_column[inside]].astype(float)
+    before = chart.image.points_at(rows[inside], columns[inside])
+    after = chart.image.points_at(to_row[inside], to_column[inside])
     motion = fit_rigid(after, before)
     residual = np.linalg.norm(transform_points(motion, before) - after, axis=1)
     return motion if np.sqrt((residual**2).mean()) <= gate_mm else None

@@ -146,7 +146,7 @@ def _places(
     found = sample(chart.source_b, centre[:, ::-1] + offset_px, nearest_outside=True)
     return (
         cell,
-        image.points_sensor[row, column].astype(float),
+        image.points_at(row, column),
         image.source_px[row, column].astype(float),
         chart.source_b[row, column].astype(float),
         found.astype(float),
@@ -167,8 +167,8 @@ class _Cut:
     centre: NDArray[np.int64]
 
 
-#: Robust deviations at which values are clipped.
-_CLIPPED = 12.0
+#: Robust deviations at which values are clipped, and by how much less than that is surely not clipped.
+_CLIPPED, _SURELY_LESS = 12.0, 0.999
 #: A window counts if it and its search area are known to this share.
 _KNOWN = 0.8
 
@@ -208,7 +208,16 @@ def _cut(chart: Aligned, options: VerifyOptions, every: int) -> _Cut:
 def _clipped(values: Map) -> Map:
     if len(values) == 0:
         return values
-    limit = _CLIPPED * 1.4826 * np.median(np.abs(values), axis=(1, 2), keepdims=True)
+    size = np.abs(values)
+    # Where more than half of a window exceed the limit of its greatest value, nothing is to be clipped: only the
+    # others are sorted.
+    limit = np.full((len(values), 1, 1), np.inf, np.float32)
+    most = size.max((1, 2), keepdims=True)
+    strong = np.count_nonzero(size > most / np.float32(_CLIPPED * 1.4826 * _SURELY_LESS), axis=(1, 2))
+    unsure = 2 * strong <= size[0].size
+    if not unsure.any():
+        return values
+    limit[unsure] = _CLIPPED * 1.4826 * np.median(size[unsure], axis=(1, 2), keepdims=True)
     return np.asarray(np.clip(values, -limit, limit))
 
 
