@@ -4,6 +4,7 @@
     python benchmarks/network.py --rendered small   # captures, measured and registered: 3 x 2 panel, ring, reduced;
                                                     # two parts mixed, a stranger, wrong pairs, a robot that errs
     python benchmarks/network.py --rendered full    # 8 x 5 panel of 2.4 m x 1.2 m, ring of 16, full resolution
+    python benchmarks/network.py --order            # how often measurements are prepared for their pairs; seconds
     python benchmarks/network.py --sizes 50 100     # growth of whole runs of files, of the sizes 50 100 200 400 1000
 
 Whole runs (networks/grown.py) and rendered networks (networks/rendered.py) go in cells: those that are there are not
@@ -171,10 +172,24 @@ def drawn(seeds: int, command: str) -> None:
         print(row)
 
 
+def order() -> None:
+    """Save how often measurements are prepared in the order in which pairs are tried."""
+    from networks.ordered import orders
+
+    save_table(
+        "pairs-order",
+        {"graph": "measurements", "pairs": "pairs", "each": "partners each", "kept": "kept",
+         "sorted": "made ready, each, by names", "prepared": "in the order taken", "least": "at least"},
+        orders(), "python benchmarks/network.py --order",
+        {"each": ".1f", "sorted": ".2f", "prepared": ".2f", "least": ".2f"},
+    )  # fmt: skip
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--rendered", choices=("small", "full"))
+    parser.add_argument("--order", action="store_true", help="the order of pairs alone")
     parser.add_argument("--sizes", type=int, nargs="+", choices=(50, 100, 200, 400, 1000))
     parser.add_argument("--again", action="store_true", help="run the sizes and networks that are there, too")
     parser.add_argument("--workers", type=int, default=1, help="networks of --rendered side by side")
@@ -185,6 +200,8 @@ def main() -> None:
         from networks.grown import grown
 
         grown(arguments.sizes, arguments.cache, arguments.again)
+    elif arguments.order:
+        order()
     elif arguments.rendered is None:
         drawn(arguments.seeds, f"python benchmarks/network.py --seeds {arguments.seeds}")
     else:

@@ -6,7 +6,6 @@ import os
 import platform
 import threading
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
 from pathlib import Path
 
 import h5py
@@ -18,11 +17,10 @@ from planish import _core
 from planish.errors import InputError
 from planish.execution.cluster import DaskCluster, call_if_same_code
 from planish.execution.executor import Threads
-from planish.execution.pool import WorkerLostError, WorkerPool
+from planish.execution.pool import Stretches, WorkerLostError, WorkerPool
 from planish.execution.recent import Recent, arrays_of
 from planish.execution.store import StageStore, code_version, content_key
 from planish.geometry import Array
-from planish.pipeline.schedule import blocks
 
 
 @pytest.fixture(scope="module")
@@ -187,27 +185,12 @@ def test_objects_that_grow_while_they_are_used_make_others_go():
     assert [recent.peek(key) is not None for key in ("growing", "new", "a", "b")] == [False, True, True, True]
 
 
-def loads(order, kept):
-    """How often a measurement is prepared where the last `kept` ones are kept."""
-    recent, count = [], 0
-    for pair in order:
-        for name in pair:
-            count += name not in recent
-            recent = [*(n for n in recent if n != name), name]
-        recent = recent[-kept:]
-    return count
-
-
-def test_every_pair_is_in_one_block_and_neighbours_share_measurements():
-    names = [f"m{i:02d}" for i in range(20)]
-    every = list(combinations(names, 2))
-    found = [pair for block in blocks(every, 2) for pair in block]
-    assert sorted(found) == every
-    # Two pairs per measurement made: half of what one row after the other needs.
-    assert loads(found, 3) < 0.6 * len(every)
-    chain = list(pairwise(names))
-    assert loads([pair for block in blocks(chain, 1) for pair in block], 3) == len(names)
-    assert blocks([], 2) == []
+def test_workers_go_through_neighbouring_items_and_take_over_from_the_end_of_others():
+    waiting = Stretches(7, 2)
+    assert [waiting.take(slot) for slot in (0, 1, 0, 0)] == [(0, 1), (3, 1), (1, 1), (2, 1)]
+    assert waiting.take(0) == (6, 1)
+    waiting.give_back(1, 3, 2)
+    assert [waiting.take(1) for _ in range(4)] == [(3, 2), (4, 1), (5, 1), None]
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only its allocator can be told to give memory back")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from dataclasses import replace
 from itertools import combinations
 
@@ -102,11 +104,53 @@ def _interrupt_late(stage, done, total, reused):
 
 
 def test_a_second_run_in_rounds_computes_nothing(files, whole):
-    before = content(whole[0])
+    before, footprints = content(whole[0]), times_of_footprints(whole[0])
     run = register_files(files, whole[0], options())
     assert {there for there, _ in run.reused.values()} == {total for _, total in run.reused.values()}
-    assert run.reused["footprints"] == (4, 4)
     assert content(whole[0]) == before
+    assert len(footprints) == 4
+    assert times_of_footprints(whole[0]) == footprints
+
+
+def times_of_footprints(out):
+    return {path: path.stat().st_mtime_ns for path in (out / "stages" / "footprints").glob("*.h5")}
+
+
+def test_a_footprint_that_is_missing_is_made_again_and_nothing_else(files, whole):
+    before, footprints = content(whole[0]), times_of_footprints(whole[0])
+    missing = min(footprints)
+    missing.unlink()
+    run = register_files(files, whole[0], options())
+    assert run.reused["texture"] == (3, 4)
+    assert run.reused["pairs"] == (6, 6)
+    after = times_of_footprints(whole[0])
+    assert {path for path in after if after[path] != footprints[path]} == {missing}
+    assert content(whole[0]) == before
+
+
+@pytest.mark.slow
+def test_rounds_on_a_dask_cluster_give_the_same_bytes_even_if_a_worker_is_killed(files, whole, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="dask.distributed is not installed: no cluster is tried")
+    from planish.execution.cluster import DaskCluster
+
+    killed = []
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as cluster,
+        DaskCluster(cluster.scheduler_address) as executor,
+    ):
+        run = register_files(files, tmp_path / "two", options(), executor=executor)
+        assert run.reused["pairs"] == (0, 6)
+        assert content(tmp_path / "two") == content(whole[0])
+
+        def kill_one(stage, done, total, reused):
+            # In the second round.
+            if stage == "pairs" and total == 6 and not killed:
+                killed.append(next(iter(cluster.workers.values())).pid)
+                os.kill(killed[0], signal.SIGKILL)
+
+        register_files(files, tmp_path / "one", options(), executor=executor, progress=kill_one)
+    assert len(killed) == 1
+    assert content(tmp_path / "one") == content(whole[0])
 
 
 def test_an_added_measurement_is_tried_with_all_it_overlaps(files, tmp_path):

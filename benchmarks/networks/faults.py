@@ -1,6 +1,6 @@
 """Whole runs with something wrong in them: two parts mixed, a stranger, wrong pairs, a robot that errs.
 
-Captures of the resolution and grain of networks_grown.py, from files to registration.json. Wrong pairs are planted
+Captures of the resolution and grain of grown.py, from files to registration.json. Wrong pairs are planted
 where a run keeps its results: three accepted ones are moved by 5 mm along the surface and given the best evidence.
 """
 

@@ -140,8 +140,8 @@ def run_here(folder: Path, out: Path, names: Sequence[str]) -> dict[str, Any]:
 
 def run_apart(folder: Path, out: Path, names: Sequence[str]) -> dict[str, Any]:
     """Register files in a process of its own; return what it took."""
-    environment = {**os.environ, "PLANISH_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    command = [sys.executable, __file__, str(folder), str(out)]
+    own = {"PLANISH_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[1])}
+    command, environment = [sys.executable, "-m", __name__, str(folder), str(out)], {**os.environ, **own}
     done = subprocess.run(
         command, input="\n".join(names), env=environment, check=True, stdout=subprocess.PIPE, text=True
     )  # fmt: skip

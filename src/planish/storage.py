@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import json
 import os
@@ -131,9 +132,14 @@ def _write(group: Any, name: str, item: Any, unit: str | None = None) -> None:
 
 def read_fields(group: Any, kind: type[T]) -> T:
     """Return the object of dataclass `kind` whose fields an HDF5 group holds."""
+    return kind(**{name: _read(group, name, hint) for name, hint in _hints(typing.cast(Any, kind))})
+
+
+@functools.cache
+def _hints(kind: type[Any]) -> tuple[tuple[str, Any], ...]:
+    """Return the names and types of the fields of a dataclass: to find them takes longer than to read small ones."""
     hints = typing.get_type_hints(kind)
-    names = [field.name for field in dataclasses.fields(typing.cast(Any, kind))]
-    return kind(**{name: _read(group, name, hints[name]) for name in names})
+    return tuple((field.name, hints[field.name]) for field in dataclasses.fields(kind))
 
 
 def _read(group: Any, name: str, hint: Any) -> Any:

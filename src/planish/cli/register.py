@@ -159,9 +159,7 @@ def run_files(
 
 
 #: Results of the stages in plain words.
-_WHAT = {
-    "pattern": "sums for the sensor's pattern", "texture": "textures", "footprints": "footprints", "pairs": "pairs"
-}  # fmt: skip
+_WHAT = {"pattern": "sums for the sensor's pattern", "texture": "textures", "pairs": "pairs"}
 
 
 def find_measurements(paths: Sequence[Path]) -> list[Path]:

@@ -13,6 +13,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from queue import SimpleQueue
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -72,6 +73,28 @@ class Worker:
         self._process.wait()
 
 
+class Stretches:
+    """Items 0 to n - 1 in neighbouring stretches, one per slot, each with the number of the attempt."""
+
+    def __init__(self, count: int, slots: int) -> None:
+        bounds = [slot * count // max(1, slots) for slot in range(slots + 1)]
+        self._waiting = [deque((index, 1) for index in range(*pair)) for pair in pairwise(bounds)]
+        self._lock = threading.Lock()
+
+    def take(self, slot: int) -> tuple[int, int] | None:
+        """Return the next item of a slot, else the last one of the slot with the most left, else None."""
+        with self._lock:
+            if self._waiting[slot]:
+                return self._waiting[slot].popleft()
+            longest = max(self._waiting, key=len)
+            return longest.pop() if longest else None
+
+    def give_back(self, slot: int, index: int, attempt: int) -> None:
+        """Let an item be taken again, by this slot first."""
+        with self._lock:
+            self._waiting[slot].appendleft((index, attempt))
+
+
 class WorkerPool:
     """`workers` processes, each with its share of `threads`, started when first needed."""
 
@@ -97,29 +120,33 @@ class WorkerPool:
         return [worker.pid for worker in self._workers if worker is not None]
 
     def map(self, function: Callable[[Item, int], Value], items: Sequence[Item]) -> Iterator[tuple[int, Value]]:
-        """Yield (index of the item, function(item, threads)) as they are done; the first error is raised."""
-        waiting = deque((index, 1) for index in range(len(items)))
+        """Yield (index of the item, function(item, threads)) as they are done; the first error is raised.
+
+        Each worker goes through neighbouring items, which may share what it keeps in memory; one that is ready takes
+        over from the end of what another one still has before it.
+        """
+        slots = min(len(items), len(self._workers))
+        waiting = Stretches(len(items), slots)
         answers: SimpleQueue[tuple[int, Value | None, BaseException | None]] = SimpleQueue()
         given_up = threading.Event()
 
         def serve(slot: int) -> None:
             while not given_up.is_set():
-                try:
-                    index, attempt = waiting.popleft()
-                except IndexError:
+                taken = waiting.take(slot)
+                if taken is None:
                     return
+                index, attempt = taken
                 try:
                     answers.put((index, self._call(slot, function, items[index]), None))
                 except WorkerLostError as error:
                     if attempt < MAX_ATTEMPTS:
-                        waiting.appendleft((index, attempt + 1))
+                        waiting.give_back(slot, index, attempt + 1)
                     else:
                         answers.put((index, None, error))
                 except Exception as error:
                     answers.put((index, None, error))
 
-        slots = range(min(len(items), len(self._workers)))
-        threads = [threading.Thread(target=serve, args=(slot,), daemon=True) for slot in slots]
+        threads = [threading.Thread(target=serve, args=(slot,), daemon=True) for slot in range(slots)]
         for thread in threads:
             thread.start()
         try:

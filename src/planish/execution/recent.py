@@ -27,6 +27,9 @@ class Recent:
         self._items: OrderedDict[Hashable, Any] = OrderedDict()
         #: Per object its arrays and their memory, as of when it was last looked at.
         self._arrays: dict[Hashable, dict[int, int]] = {}
+        #: By how many objects each array is held, and the memory of all of them.
+        self._holders: dict[tuple[int, int], int] = {}
+        self._bytes = 0
         self._making: dict[Hashable, threading.Lock] = {}
         self._lock = threading.Lock()
 
@@ -48,6 +51,11 @@ class Recent:
                 self._drop()
         return value
 
+    def used(self) -> list[Hashable]:
+        """Return the keys of all objects, those used last at the end."""
+        with self._lock:
+            return list(self._items)
+
     def peek(self, key: Hashable) -> Any:
         """Return the object of `key`, or None."""
         with self._lock:
@@ -57,28 +65,38 @@ class Recent:
         """Drop an object: another one has taken it over."""
         with self._lock:
             self._items.pop(key, None)
-            self._arrays.pop(key, None)
+            self._look(key)
 
     def clear(self) -> None:
         """Drop all objects."""
         with self._lock:
             self._items.clear()
-            self._arrays.clear()
+            for key in list(self._arrays):
+                self._look(key)
 
     def _drop(self) -> None:
         # Objects grow while they are in use: some of their parts are made on demand. Others stay as they are, and to
         # look at all of them each time would take longer than what they are kept for.
         for key in islice(reversed(self._items), _IN_USE):
-            self._arrays[key] = arrays_of(self._items[key])
-        while len(self._items) > 1 and (len(self._items) > self.max_number or self._bytes() > self.max_bytes):
+            self._look(key)
+        while len(self._items) > 1 and (len(self._items) > self.max_number or self._bytes > self.max_bytes):
             key, _ = self._items.popitem(last=False)
-            self._arrays.pop(key, None)
+            self._look(key)
 
-    def _bytes(self) -> int:
-        together: dict[int, int] = {}
-        for key in self._items:
-            together |= self._arrays.get(key, {})
-        return sum(together.values())
+    def _look(self, key: Hashable) -> None:
+        """Count the arrays of an object anew; none where it is no longer there."""
+        before = self._arrays.pop(key, {})
+        now = arrays_of(self._items[key]) if key in self._items else {}
+        if now:
+            self._arrays[key] = now
+        for array in now.items() - before.items():
+            self._holders[array] = self._holders.get(array, 0) + 1
+            self._bytes += array[1] if self._holders[array] == 1 else 0
+        for array in before.items() - now.items():
+            self._holders[array] -= 1
+            if not self._holders[array]:
+                del self._holders[array]
+                self._bytes -= array[1]
 
 
 #: So many objects, those asked for last, may be in use: two by each of some threads.
@@ -93,22 +111,27 @@ def arrays_of(value: Any) -> dict[int, int]:
 
 
 def _collect(value: Any, seen: dict[int, int]) -> None:
-    if value is None or isinstance(value, str | bytes | int | float):
+    if type(value) in _WITHOUT_ARRAYS:
         return
     if isinstance(value, np.ndarray):
         base = value
         while isinstance(base.base, np.ndarray):
             base = base.base
         seen[id(base)] = base.nbytes
-    elif isinstance(value, Mapping):
-        for item in list(value.values()):
-            _collect(item, seen)
     elif isinstance(value, tuple | list):
         for item in value:
             _collect(item, seen)
+    elif isinstance(value, Mapping):
+        for item in list(value.values()):
+            _collect(item, seen)
     elif hasattr(value, "__dict__"):
         # What properties have computed stands there, too.
-        _collect(vars(value), seen)
+        for item in list(vars(value).values()):
+            _collect(item, seen)
+
+
+#: Asked first: most of what objects consist of is one of these.
+_WITHOUT_ARRAYS = frozenset({type(None), str, bytes, bool, int, float})
 
 
 def main_process_bytes() -> int:

@@ -12,31 +12,32 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from planish.errors import InputError
 from planish.execution.executor import Executor, Threads
 from planish.execution.libraries import serial_linear_algebra
+from planish.execution.recent import MAX_NUMBER, RECENT, WORKER_BYTES
 from planish.execution.store import StageStore
 from planish.files.given import GivenFiles, read_given
 from planish.pipeline.frozen import Batch, Frozen, FrozenMeasurement
 from planish.pipeline.options import RegisterOptions
 from planish.pipeline.rounds import register_in_rounds
-from planish.pipeline.schedule import MAX_BLOCK, blocks
+from planish.pipeline.schedule import MAX_BLOCK, blocks, kept_in
 from planish.pipeline.stages import (
     PairStage,
     PatternStage,
     Source,
     View,
-    find_footprint,
     find_keypoints,
+    find_keypoints_and_footprint,
     look_at,
     points_of,
+    recent_views,
     register_pairs,
     sum_pattern,
+    without_pixels,
 )
 from planish.pipeline.versions import versions
-from planish.registration.candidates.choose import Pair, choose_pairs, possible_pairs
+from planish.registration.candidates.choose import Pair, choose_pairs, goes_in_rounds, possible_pairs
 from planish.registration.candidates.footprint import Footprint
 from planish.registration.network.build import Node, build_network
 from planish.registration.pair_costs import pair_costs
@@ -213,7 +214,8 @@ class _Run:
         patterns = self._patterns(store, sources, batches, options)
         pitch = texture_pitch(self.frozen.gsd_mm)
         views = {name: View.of(store, sources[name], pitch, options, patterns.get(name)) for name in sorted(sources)}
-        self._count("texture", find_keypoints, list(views.values()))
+        rounds = goes_in_rounds(len(views), options.candidates)
+        self._count("texture", find_keypoints_and_footprint if rounds else find_keypoints, list(views.values()))
         nodes = self._nodes([sources[name] for name in views], given.surface is not None)
         pairs = self._known_pairs(views, options)
         tried, results = self._try_pairs(views, batches[-1], nodes, options, pairs)
@@ -301,32 +303,43 @@ class _Run:
             return self._register({name: pairs[name] for name in names})
 
         def footprints() -> dict[str, Footprint]:
-            self._count("footprints", find_footprint, list(views.values()))
             return {name: view.footprint()[0] for name, view in views.items()}
 
         return register_in_rounds(choice, list(pairs), nodes, options, register, footprints, new)
 
     def _register(self, pairs: Mapping[Pair, PairStage]) -> list[PairResult]:
         """Register the pairs that are not registered, and return all, without their pixels."""
-        results = {names: result for names, pair in pairs.items() if (result := _without_pixels(pair)) is not None}
+        results = {
+            names: without_pixels(found) for names, pair in pairs.items() if (found := pair.result()) is not None
+        }
         there, total = self.reused.get("pairs", (0, 0))
         done = total + len(results)
         there, total = there + len(results), total + len(pairs)
         self.say("pairs", done, total, there)
         self.reused["pairs"] = (there, total)
-        most = 1 if self.executor.shares_memory else MAX_BLOCK
-        groups = blocks([names for names in pairs if names not in results], self.executor.slots, most)
-        for _, count in self.executor.map(register_pairs, [tuple(pairs[names] for names in g) for g in groups]):
-            done += count
-            self.say("pairs", done, total, there)
-        for names, pair in pairs.items():
-            if names not in results:
-                result = _without_pixels(pair)
-                if result is None:
-                    path = pair.store.folder
+        groups = self._blocks([pair for names, pair in pairs.items() if names not in results])
+        for index, registered in self.executor.map(register_pairs, groups):
+            for pair, result in zip(groups[index], registered, strict=True):
+                if not pair.is_done():
+                    path, names = pair.store.folder, (result.a, result.b)
                     raise InputError(path, f"the result of {names} is not here", "a folder that all workers share")
-                results[names] = result
+                results[result.a, result.b] = result
+            done += len(registered)
+            self.say("pairs", done, total, there)
         return [results[names] for names in sorted(results)]
+
+    def _blocks(self, pairs: Sequence[PairStage]) -> list[tuple[PairStage, ...]]:
+        """Return pairs in an order in which few measurements are prepared more than once."""
+        shared = self.executor.shares_memory
+        views = {view.source.name: view for pair in pairs for view in (pair.a, pair.b)}
+        sizes = [view.source.size_bytes for view in views.values()]
+        kept = kept_in(RECENT.max_bytes if shared else WORKER_BYTES, MAX_NUMBER, sizes)
+        names = {view.key: name for name, view in views.items()}
+        there = [names[key] for key in recent_views() if key in names] if shared else []
+        by_name = {(pair.a.source.name, pair.b.source.name): pair for pair in pairs}
+        most = 1 if shared else MAX_BLOCK
+        ordered = blocks(list(by_name), self.executor.slots, kept, most, there)
+        return [tuple(by_name[names] for names in block) for block in ordered]
 
     def _count(self, stage: str, function: Callable[[Item, int], bool], items: Sequence[Item]) -> None:
         """Run a stage whose function says whether the result was there."""
@@ -357,12 +370,3 @@ def _look(paths: Sequence[Path], executor: Executor, say: FileProgress) -> dict[
             )
         sources[source.name] = source
     return dict(sorted(sources.items()))
-
-
-def _without_pixels(pair: PairStage) -> PairResult | None:
-    """Return the result of a pair as the network needs it: the pixels of all pairs of a large run are too many."""
-    result = pair.result()
-    return None if result is None else replace(result, matches_px=_NO_PIXELS, consensus_px=_NO_PIXELS)
-
-
-_NO_PIXELS = np.empty((0, 4))

@@ -188,7 +188,11 @@ class View:
     def footprint(self) -> tuple[Footprint, bool]:
         """Return some points of the surface, and whether they were there."""
         key = content_key(FOOTPRINTS, self.source.sha256)
-        return self.store.read_or_make(FOOTPRINTS, key, Footprint, lambda: footprint(load(self.source)))
+        return self.store.read_or_make(FOOTPRINTS, key, Footprint, lambda: footprint(self._measurement()))
+
+    def _measurement(self) -> Measurement:
+        textured: Textured | None = RECENT.peek(("textured", self.key))
+        return load(self.source) if textured is None else textured.measurement
 
     def prepared(self, threads: int) -> Prepared:
         """Return all that pairs need, kept for a while."""
@@ -208,6 +212,11 @@ class View:
             if item is not None:
                 return evaluation.Prepared(item.measurement, item.surface, item.contrast, threads)
         return RECENT.get(("surfaced", self.key), lambda: Surfaced(self, load(self.source), threads))
+
+
+def recent_views() -> list[str]:
+    """Return the keys of the views that this process keeps ready for pairs or drawn, those used last at the end."""
+    return [key[1] for key in RECENT.used() if isinstance(key, tuple) and key[0] in ("prepared", "textured")]
 
 
 class Surfaced(evaluation.Prepared):
@@ -243,9 +252,10 @@ def find_keypoints(view: View, threads: int) -> bool:
     return view.keypoints(threads)[1]
 
 
-def find_footprint(view: View, threads: int) -> bool:
-    """Find some points of the surface of a measurement; return whether they were there."""
-    return view.footprint()[1]
+def find_keypoints_and_footprint(view: View, threads: int) -> bool:
+    """Find the keypoints of a measurement and some points of its surface; return whether they were there."""
+    keypoints_there = view.keypoints(threads)[1]
+    return view.footprint()[1] and keypoints_there
 
 
 @dataclass(frozen=True)
@@ -285,11 +295,17 @@ class PairStage:
         found = self.store.read(OVERLAPS, self.key, Overlap)
         return None if found is None else replace(pair, overlap=found.overlap, overlap_error=found.error)
 
-    def run(self, threads: int) -> None:
-        """Register the pair and evaluate its overlap, as far as that has not been done."""
+    def is_done(self) -> bool:
+        """Return whether the file of the result is there."""
+        return self.store.path(PAIRS, self.key).is_file()
+
+    def run(self, threads: int) -> PairResult:
+        """Register the pair and evaluate its overlap, as far as that has not been done; return what `result` does."""
         pair, _ = self.store.read_or_make(PAIRS, self.key, PairResult, lambda: self._register(threads))
-        if pair.T_a_b is not None:
-            self.store.read_or_make(OVERLAPS, self.key, Overlap, lambda: self._evaluate(pair, threads))
+        if pair.T_a_b is None:
+            return pair
+        found, _ = self.store.read_or_make(OVERLAPS, self.key, Overlap, lambda: self._evaluate(pair, threads))
+        return replace(pair, overlap=found.overlap, overlap_error=found.error)
 
     def _register(self, threads: int) -> PairResult:
         a, b = self.a.prepared(threads), self.b.prepared(threads)
@@ -301,8 +317,14 @@ class PairStage:
         return Overlap(found.overlap, found.error)
 
 
-def register_pairs(pairs: tuple[PairStage, ...], threads: int) -> int:
-    """Try pairs one after the other; return their number."""
-    for pair in pairs:
-        pair.run(threads)
-    return len(pairs)
+def register_pairs(pairs: tuple[PairStage, ...], threads: int) -> list[PairResult]:
+    """Try pairs one after the other; return their results without pixels."""
+    return [without_pixels(pair.run(threads)) for pair in pairs]
+
+
+def without_pixels(pair: PairResult) -> PairResult:
+    """Return a result as the network needs it: the pixels of all pairs of a large run are too many."""
+    return replace(pair, matches_px=_NO_PIXELS, consensus_px=_NO_PIXELS)
+
+
+_NO_PIXELS = np.empty((0, 4))

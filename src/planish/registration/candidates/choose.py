@@ -86,6 +86,11 @@ def choose_pairs(
     return Choice(names, [pair for pair in pairs if new is None or pair[0] in new or pair[1] in new], votes)
 
 
+def goes_in_rounds(measurements: int, options: CandidateOptions) -> bool:
+    """Return whether so many measurements are tried round by round, not all pairs at once."""
+    return measurements > options.exhaustive_up_to and options.rounds > 1
+
+
 def best_partners(votes: Votes, options: CandidateOptions) -> NDArray[np.int64]:
     """Return the pairs (P, 2) of indices that are among the best ones of either of their measurements, sorted."""
     one, other, rank, value = _ranks(votes.index_a, votes.index_b, votes.significance)

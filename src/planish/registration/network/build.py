@@ -62,24 +62,20 @@ def build_network(
         Information and gradient of a pair at another transform; default the pair's own, which is quadratic.
     """
     options, given = options or NetworkOptions(), given or Given()
-    # Sums must not depend on the order in which the pairs come.
-    pairs = sorted(pairs, key=lambda pair: (pair.a, pair.b))
     by_name = {node.name: node for node in nodes}
     done: list[tuple[list[str], str, Anchored]] = []
-    waiting = find_groups(list(by_name), pairs)
+    waiting, settled = _split(list(by_name), pairs)
     while waiting:
-        names = waiting.pop(0)
-        chosen = reference if reference in names else choose_reference(names, pairs)
+        names, inside = waiting.pop(0)
+        chosen = reference if reference in names else choose_reference(names, inside)
         assert chosen is not None
-        members = set(names)
-        inside = [p for p in pairs if p.a in members and p.b in members]
-        outside = [p for p in pairs if p.a not in members or p.b not in members]
         anchored = adjust_group([by_name[name] for name in names], chosen, inside, options, given)
-        pairs = sorted(outside + anchored.pairs, key=lambda pair: (pair.a, pair.b))
         if anchored.adjusted is None:
             # What tied its parts together was wrong.
-            waiting = find_groups(names, anchored.pairs) + waiting
+            parts, between = _split(names, anchored.pairs)
+            waiting, settled = parts + waiting, settled + between
             continue
+        settled += anchored.pairs
         if normal_equations is not None:
             seen = at_the_network(anchored.pairs, anchored.adjusted, normal_equations)
             anchored = adjust_group([by_name[name] for name in names], chosen, seen, options, given).with_pairs_of(
@@ -87,7 +83,26 @@ def build_network(
             )
         done.append((names, chosen, anchored))
     done.sort(key=lambda item: (-len(item[0]), item[0][0]))
-    return _registration(by_name, pairs, done, record, versions, options, given)
+    return _registration(by_name, _in_order(settled), done, record, versions, options, given)
+
+
+def _split(
+    names: Sequence[str], pairs: Sequence[PairResult]
+) -> tuple[list[tuple[list[str], list[PairResult]]], list[PairResult]]:
+    """Return the groups of names, each with the pairs inside it, and the pairs between groups."""
+    groups = find_groups(names, pairs)
+    group_of = {name: number for number, group in enumerate(groups) for name in group}
+    inside: list[list[PairResult]] = [[] for _ in groups]
+    between: list[PairResult] = []
+    for pair in _in_order(pairs):
+        number = group_of[pair.a]
+        (inside[number] if group_of[pair.b] == number else between).append(pair)
+    return list(zip(groups, inside, strict=True)), between
+
+
+def _in_order(pairs: Sequence[PairResult]) -> list[PairResult]:
+    """Return pairs sorted by name: sums must not depend on the order in which they come."""
+    return sorted(pairs, key=lambda pair: (pair.a, pair.b))
 
 
 def _registration(
