@@ -17,11 +17,15 @@ Processing 64(21), 2016). A change xi of T_a_b moves the surface at x by G xi, s
               their noise, says in both cameras;
     P [mm^2]  both surfaces' noise, which moves where the rays of a and of b meet the texture: (t grad c)^2 M_a M_b /
               (M_a + M_b), t the difference of the rays' slopes against the normal;
+    grad c    of a texture that is unknown at every point. To estimate it costs information where it is weaker than its
+              noise: of spectrum S, S^2 / (N (2 S + N)) is left of S / (2 N) (unconditional instead of conditional
+              bound: Stoica and Nehorai, IEEE Trans. ASSP 38(10), 1990; for shifts: Knapp and Carter, IEEE Trans. ASSP
+              24(4), 1976, whose filter reaches it). Each frequency of grad c is weighed by the root of the ratio;
     slow      a gain, offset and shading between the textures are unknown: what a smooth field of SHADING_MM could
               explain of s tells nothing about xi.
 
-The bound holds for unbiased estimates of a band-limited texture; neighbours' noise is independent in the images. What
-is coarser than the bound knows nothing of: highlights, texture that passes for fringes, aliasing.
+The bound holds for unbiased estimates of a band-limited texture of known spectrum; neighbours' noise is independent in
+the images. What is coarser than the bound knows nothing of: highlights, texture that passes for fringes, aliasing.
 """
 
 from __future__ import annotations

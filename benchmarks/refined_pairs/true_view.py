@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 
 from planish.geometry import Array, transform_points
 from planish.rig import Camera
@@ -18,6 +19,8 @@ from planish.simulation.texture import BLANK
 
 #: Pixels at the rim of what is measured whose gradients the rim spoils; pixels that the images are continued by.
 RIM_PX, MARGIN_PX = 4, 32
+#: Scale over which the texture's spectrum is averaged (standard deviation) [cycles per pixel].
+RESOLUTION = 0.004
 #: Step [mm] along a ray for the slope of the projector's position.
 STEP_MM = 0.1
 #: Phases over which fringes are averaged; those of the other half have the same levels.
@@ -40,7 +43,7 @@ class TrueView:
     area : ndarray (H, W)
         Surface that a pixel covers [mm^2].
     gradient : ndarray (H, W, 3)
-        Of the contrast along the surface [1/mm].
+        Of the contrast along the surface [1/mm], each frequency by what it says about a shift.
     slope : ndarray (H, W, 3)
         By how much a surface that lies 1 mm higher moves what the rays meet, along the surface.
     texture_noise, surface_noise : ndarray (H, W)
@@ -67,7 +70,6 @@ def true_view(scene: Scene, index: int, valid: Mask) -> TrueView:
     normals = np.cross(along[1], along[0])
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
     normals *= np.sign(((scene.rig.cameras["A"].center_sensor - points) * normals).sum(2))[..., None]
-    gradient = _surface_gradient(_contrast(scene, index), along)
     levels = _levels(scene, index)
     information_N, information_M, slope = 0.0, 0.0, 0.0
     for name, camera in scene.rig.cameras.items():
@@ -80,10 +82,12 @@ def true_view(scene: Scene, index: int, valid: Mask) -> TrueView:
         slope = slope + (contrast / area)[..., None] * (step - normals)
     with np.errstate(divide="ignore", invalid="ignore"):
         N, M, slope = 1 / information_N, 1 / information_M, slope / np.asarray(information_N)[..., None]
+    area = np.linalg.norm(np.cross(*along), axis=2)
+    noise = float(np.median((N / area)[valid & np.isfinite(N / area)]))
+    gradient = _surface_gradient(_contrast(scene, index), along, noise)
     # A pixel whose neighbours are no surface has no gradient.
     whole = cv2.erode(valid.astype(np.uint8), np.ones((2 * RIM_PX + 1,) * 2), borderValue=(0,)).astype(bool)
     known = whole & np.isfinite(gradient.sum(2) + N + M)
-    area = np.linalg.norm(np.cross(*along), axis=2)
     return TrueView(scene.rig.cameras["A"], points, normals, area, gradient, slope, N, M, known)
 
 
@@ -113,10 +117,18 @@ def _contrast(scene: Scene, index: int) -> Array:
     return np.asarray((textured - plain) / np.maximum(plain - scene.sensor.black_level * 65535, 1))
 
 
-def _surface_gradient(contrast: Array, along: list[Array]) -> Array:
-    """Return the gradient (H, W, 3) along the surface [1/mm], exact for what the pixels can hold."""
+def _surface_gradient(contrast: Array, along: list[Array], noise: float) -> Array:
+    """Return the gradient (H, W, 3) along the surface [1/mm], exact for what the pixels can hold.
+
+    Each frequency counts by the share of its information that is left where the texture is unknown (`bound.py`);
+    `noise` is the variance of one pixel's contrast.
+    """
     padded = np.pad(contrast, MARGIN_PX, mode="reflect")
     spectrum = np.fft.rfft2(padded)
+    reach = [RESOLUTION * n for n in padded.shape]
+    S = gaussian_filter(np.abs(np.fft.fft2(padded)) ** 2, reach, mode="wrap")[:, : spectrum.shape[1]] / padded.size
+    # Two captures with this noise each: S^2 / (N (2 S + N)) over S / (2 N), the unconditional over the conditional.
+    spectrum *= np.sqrt(2 * S / (2 * S + noise))
     f = (np.fft.rfftfreq(padded.shape[1])[None], np.fft.fftfreq(padded.shape[0])[:, None])
     inner = slice(MARGIN_PX, -MARGIN_PX)
     c = [np.fft.irfft2(2j * np.pi * k * spectrum, padded.shape)[inner, inner] for k in f]

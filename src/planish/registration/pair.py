@@ -16,7 +16,6 @@ from planish.registration.match.patches import PatchSide
 from planish.registration.matches import Matches
 from planish.registration.options import PairOptions
 from planish.registration.prepared import Prepared, leave_out
-from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.calibration import ErrorSide, calibration_covariance, calibration_shifts
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.refine.fit_statistics import FitStatistics, fit_statistics
@@ -118,11 +117,14 @@ def _refined_result(
     options: PairOptions,
     threads: int | None,
 ) -> PairResult:
-    anchor = first.anchor() if is_weak(a, b, options.dense) else None
     # What agrees with a consensus does so within this.
     within_mm = options.verdict.verify.agree_mm
-    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, anchor, within_mm)
+    anchor = first.anchor(within_mm) if is_weak(a, b, options.dense) else None
+    refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, within_mm)
     covariance = noise_covariance(refined) if refined is not None else None
+    if refined is not None and covariance is not None and anchor is not None:
+        T, covariance = anchor.combined(refined.T_a_b, covariance, refined.about)
+        refined = replace(refined, T_a_b=T)
     directions: tuple[Direction, ...] = ()
     kept_out, fit = None, None
     if refined is not None and covariance is not None:
@@ -159,13 +161,11 @@ def refine_pair(
     options: PairOptions | None = None,
     threads: int | None = None,
     without: tuple[NDArray[np.bool_] | None, NDArray[np.bool_] | None] = (None, None),
-    anchor: Anchor | None = None,
     within_mm: float = np.inf,
 ) -> Refined | None:
     """Return the joint refinement of a pair from a coarse transform, or None where the surfaces do not overlap.
 
-    `without` (H, W) of a and of b are pixels that take no part; `anchor` adds what windows of weak textures say. The
-    start is not farther off than `within_mm`.
+    `without` (H, W) of a and of b are pixels that take no part. The start is not farther off than `within_mm`.
     """
     options = options or PairOptions()
     extent = overlap_extent(a.measurement, b.measurement, T_a_b, max(options.refine.max_distance_mm))
@@ -175,7 +175,7 @@ def refine_pair(
     tile = tile_size_px(b.measurement)
     sides_a, sides_b = leave_out(a.fit_sides, without[0]), leave_out(b.sides, without[1])
     steps = options.refine.starting_within(within_mm, ground_sample_distance(b.measurement))
-    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, steps, threads, anchor)
+    return refine(sides_a, sides_b, T_a_b, centre, radius, tile, steps, threads)
 
 
 def kept_out_agreement(

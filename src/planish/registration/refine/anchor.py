@@ -6,12 +6,11 @@ direction badly. The peak of a window's correlation does not depend on slopes. I
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from planish.geometry import Array, difference
-from planish.registration.refine.residuals import Equations
+from planish.geometry import Array, difference, perturb
 
 #: Windows see the same textures as the pixels do: counted by this factor less, both together never claim more than
 #: twice what there is, and never less than the better of both.
@@ -20,7 +19,7 @@ _SHARED = 2.0
 
 @dataclass(frozen=True)
 class Anchor:
-    """A transform that the refinement starts from and is held to.
+    """A transform that a refined one is held to.
 
     Parameters
     ----------
@@ -36,13 +35,20 @@ class Anchor:
     points_a: Array
     sigma_mm: float
 
-    def hold(self, equations: Equations, T_a_b: Array, about: Array) -> Equations:
-        """Return the normal equations at T_a_b, rotations about a point, with those of the windows."""
+    def combined(self, T_a_b: Array, covariance: Array, about: Array) -> tuple[Array, Array]:
+        """Return the weighted mean of a transform and this one, and its covariance (6, 6) about a point of frame a."""
+        information = np.linalg.inv(covariance)
+        own = self.information(about)
+        C = np.linalg.inv(information + own)
+        xi = -C @ own @ difference(T_a_b, self.T_a_b, about)
+        return perturb(T_a_b, xi, about), (C + C.T) / 2
+
+    def information(self, about: Array) -> Array:
+        """Return the information (6, 6) of the windows on xi about a point of frame a."""
         lever = self.points_a - about
         J = np.zeros((len(lever), 3, 6))
         J[:, :, 3:] = np.eye(3)
         # d(point) = rotation x lever + translation.
         for axis in range(3):
             J[:, :, axis] = np.cross(np.eye(3)[axis], lever)
-        H = np.einsum("nij,nik->jk", J, J) / (_SHARED * self.sigma_mm**2)
-        return replace(equations, H_anchor=H, g_anchor=H @ difference(T_a_b, self.T_a_b, about))
+        return np.asarray(np.einsum("nij,nik->jk", J, J) / (_SHARED * self.sigma_mm**2))

@@ -29,7 +29,6 @@ def noise_covariance(refined: Refined) -> Array:
     held = values > max(values[-1] * 1e-12, 1e-6)
     inverse = vectors[:, held] / values[held]
     scatter = _gradient_scatter(combined_tiles(refined.equations, info))
-    scatter += refined.equations.H_anchor / np.outer(info.scale, info.scale)
     scatter += np.outer(info.blur, info.blur)
     C = inverse @ (vectors[:, held].T @ scatter @ vectors[:, held]) @ inverse.T
     C += _NOTHING_MM**2 * vectors[:, ~held] @ vectors[:, ~held].T

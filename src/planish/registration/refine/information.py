@@ -58,15 +58,14 @@ def information(e: Equations, lever_mm: float, min_slope: float = 0.0, afar: boo
     outer = np.outer(scale, scale)
     slope_distance, slope_texture = max(e.slope_distance, min_slope), max(e.slope_texture, min_slope)
     trust, distance = _trusted(e.H_distance / outer, e.H_distance_unbiased / outer)
-    anchor = e.H_anchor / outer
-    texture = slope_texture * (e.H_texture if afar else e.H_texture_unbiased) / outer + anchor
+    texture = slope_texture * (e.H_texture if afar else e.H_texture_unbiased) / outer
     return Information(
         scale,
         trust,
-        trust @ (e.g_distance / scale) + (e.g_texture + e.g_anchor) / scale,
+        trust @ (e.g_distance / scale) + e.g_texture / scale,
         texture,
         slope_distance * distance + texture,
-        distance + e.H_texture / outer + anchor,
+        distance + e.H_texture / outer,
         slope_distance * trust @ (e.g_blur / scale),
     )
 

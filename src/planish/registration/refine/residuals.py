@@ -29,8 +29,7 @@ class Equations:
     are the parts of the gradient of distance and texture, `tile_sizes` (rows, columns, 2, 2) number and sum of the
     absolute values of the residuals, `tile_shading` (rows, columns, 18) the sums that gain and offset of its textures
     follow from (`shading`): of J by the gain and by the offset, of the squares, of the residuals. `g_blur` is the
-    change of `g_distance` by the standard deviation of the blur. `H_anchor` and `g_anchor` are those of
-    windows (`Anchor`).
+    change of `g_distance` by the standard deviation of the blur.
     """
 
     H_distance: Array
@@ -51,9 +50,7 @@ class Equations:
     tile_shading: Array
     distances: Map
     differences: Map
-    H_anchor: Array = field(default_factory=lambda: np.zeros((6, 6)))
     g_blur: Array = field(default_factory=lambda: np.zeros(6))
-    g_anchor: Array = field(default_factory=lambda: np.zeros(6))
 
 
 #: Standard deviation of normal values over their mean absolute value.

@@ -11,7 +11,6 @@ from pydantic import Field, PositiveFloat, PositiveInt, model_validator
 
 from planish.geometry import Array, perturb
 from planish.options import Options, thread_count
-from planish.registration.refine.anchor import Anchor
 from planish.registration.refine.information import held_directions, information
 from planish.registration.refine.residuals import Equations, Weights, equations
 from planish.registration.refine.shading import shading, without_shading
@@ -74,7 +73,6 @@ def refine(
     tile_px: int,
     options: RefineOptions | None = None,
     threads: int | None = None,
-    anchor: Anchor | None = None,
 ) -> Refined | None:
     """Return the refined transform of b in a, or None where the two hardly overlap.
 
@@ -90,11 +88,9 @@ def refine(
         Radius of the overlap; makes rotations comparable with translations [mm].
     tile_px : int
         Edge of the tiles of b that the covariance rests on [px].
-    anchor : Anchor, optional
-        Windows of textures too weak for single pixels.
     """
     options = options or RefineOptions()
-    problem = _Problem(np.asarray(about), lever_mm, tile_px, options, thread_count(threads), anchor)
+    problem = _Problem(np.asarray(about), lever_mm, tile_px, options, thread_count(threads))
     found: Refined | None = None
     for spacing, max_distance in zip(options.spacing_px, options.max_distance_mm, strict=True):
         level = problem.solve(sides_a[spacing], sides_b[spacing], T_a_b, max_distance)
@@ -124,16 +120,14 @@ class _Problem:
     tile_px: int
     options: RefineOptions
     threads: int
-    anchor: Anchor | None
 
     def at(
         self, a: JointSide, b: JointSide, T: Array, weights: Weights | None, max_distance_mm: float, stride: int = 1
     ) -> Equations:
-        found = equations(
+        return equations(
             a, b, T, self.about, weights, max_distance_mm=max_distance_mm, max_normal_rad=self.options.max_normal_rad,
             stride=stride, tile_px=max(2, self.tile_px // b.spacing_px), residuals=False, threads=self.threads,
         )  # fmt: skip
-        return found if self.anchor is None else self.anchor.hold(found, T, self.about)
 
     def weights(self, a: JointSide, b: JointSide, T: Array, max_distance_mm: float, last: bool) -> Weights | None:
         """Return what residuals count, None where too little is common; on the last level without their shading.
