@@ -37,6 +37,22 @@ def test_a_ring_has_one_loop_whose_closure_is_what_was_put_into_it():
     assert loop.adjusted_mm < 0.3
 
 
+@pytest.mark.parametrize("tree", ["leaves out the corners' own pairs", "leaves out the corners' shortcuts"])
+def test_the_ring_is_among_the_loops_whatever_shortcuts_it_has(tree):
+    """Two corners of a ring of eight have shortcuts: two triangles, and one loop that goes all the way round."""
+    rim = [f"m{k}" for k in range(8)]
+    own, shortcuts = list(pairwise([*rim, rim[0]])), [("m0", "m2"), ("m4", "m6")]
+    beside = [("m0", "m1"), ("m4", "m5")] if "own" in tree else shortcuts
+    # The last pair beside the tree closes a triangle, too, where the tree goes the other way round.
+    beside = [*beside, ("m1", "m2") if "shortcuts" in tree else ("m2", "m3")]
+    pairs = [PairResult(a=a, b=b, status="accepted", reason="", used=True, T_a_b=np.eye(4)) for a, b in own + shortcuts]
+    loops = fundamental_loops(graph_of(pairs, rim), [e for e in own + shortcuts if e not in beside])
+    lengths = sorted(len(loop) for loop in loops)
+    assert lengths[:2] == [3, 3]
+    assert len(lengths) == 3
+    assert lengths[2] >= 6
+
+
 def test_closures_are_as_large_as_predicted():
     values, rms, predicted = [], [], []
     for seed in range(60):

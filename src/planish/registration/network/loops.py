@@ -74,20 +74,55 @@ def side_of(graph: Graph, start: str, beyond: str) -> list[str]:
 def fundamental_loops(graph: Graph, tree: Sequence[tuple[str, str]]) -> list[list[Step]]:
     """Return, for each pair beside the tree, the shortest loop through it; a loop that several share once.
 
-    The pair that closes the loop comes last and is walked from b to a.
+    Where these do not make up all loops (a ring whose last pair also closes a triangle), the tree's own loops are
+    added that are none of their sums. The pair that closes a loop comes last and is walked from b to a.
     """
     kept = {frozenset(edge) for edge in tree}
-    loops, seen = [], set()
     pairs = {(pair.a, pair.b): pair for others in graph.values() for pair in others.values()}
-    for key in sorted(pairs):
-        if frozenset(key) in kept:
-            continue
+    bits = {key: 1 << i for i, key in enumerate(sorted(pairs))}
+    beside = [key for key in bits if frozenset(key) not in kept]
+    on_tree = {
+        here: {n: p for n, p in others.items() if frozenset((p.a, p.b)) in kept} for here, others in graph.items()
+    }
+    loops, sums = [], _Sums()
+    for key in beside:
         walk = shortest_walk(graph, key[0], key[1], pairs[key])
-        members = frozenset((step.pair.a, step.pair.b) for step in walk or ()) | {key}
-        if walk is not None and members not in seen:
-            seen.add(members)
+        if walk is not None and sums.add(_members(walk, bits) | bits[key]):
+            loops.append([*walk, Step(pairs[key], False)])
+    if sums.rank == len(beside):
+        return loops
+    own = [(walk, key) for key in beside if (walk := shortest_walk(on_tree, key[0], key[1])) is not None]
+    for walk, key in sorted(own, key=lambda item: len(item[0])):
+        if sums.rank < len(beside) and sums.add(_members(walk, bits) | bits[key]):
             loops.append([*walk, Step(pairs[key], False)])
     return loops
+
+
+def _members(walk: Sequence[Step], bits: Mapping[tuple[str, str], int]) -> int:
+    """Return the pairs of a walk as one number, a bit for each."""
+    return sum(bits[step.pair.a, step.pair.b] for step in walk)
+
+
+class _Sums:
+    """Loops by their pairs, and which others are sums of them: pairs that stand twice cancel (arithmetic modulo 2)."""
+
+    def __init__(self) -> None:
+        self._by_highest: dict[int, int] = {}
+
+    @property
+    def rank(self) -> int:
+        """Number of independent loops."""
+        return len(self._by_highest)
+
+    def add(self, loop: int) -> bool:
+        """Add a loop, unless it is a sum of those that are there; return whether it was added."""
+        while loop:
+            other = self._by_highest.get(loop.bit_length())
+            if other is None:
+                self._by_highest[loop.bit_length()] = loop
+                return True
+            loop ^= other
+        return False
 
 
 @dataclass(frozen=True)
