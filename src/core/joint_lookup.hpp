@@ -4,6 +4,7 @@
 #include <array>
 #include <cmath>
 
+#include "core/cubic.hpp"
 #include "core/joint.hpp"
 #include "core/moved_camera.hpp"
 #include "core/prefetch.hpp"
@@ -42,13 +43,6 @@ struct Cell {
         return {p, p + map.channels, q, q + map.channels};
     }
 };
-
-/// Weights of cubic convolution (Keys 1981, a = -1/2) for a place the fraction f behind the second of four pixels.
-inline Eigen::Array4f cubic_weights(float f) {
-    const Eigen::Array4f once(-0.5F, 0.0F, 0.5F, 0.0F), twice(1.0F, -2.5F, 2.0F, -0.5F),
-        thrice(-0.5F, 1.5F, -1.5F, 0.5F), second(0.0F, 1.0F, 0.0F, 0.0F);
-    return ((thrice * f + twice) * f + once) * f + second;
-}
 
 /// Cubic convolution; NaN where one of the 16 values is.
 inline float cubic(const Image<const float>& map, const Cell& cell) {

@@ -78,23 +78,21 @@ def fundamental_loops(graph: Graph, tree: Sequence[tuple[str, str]]) -> list[lis
     added that are none of their sums. The pair that closes a loop comes last and is walked from b to a.
     """
     kept = {frozenset(edge) for edge in tree}
+    on_tree = {a: {b: pair for b, pair in others.items() if frozenset((a, b)) in kept} for a, others in graph.items()}
     pairs = {(pair.a, pair.b): pair for others in graph.values() for pair in others.values()}
     bits = {key: 1 << i for i, key in enumerate(sorted(pairs))}
     beside = [key for key in bits if frozenset(key) not in kept]
-    on_tree = {
-        here: {n: p for n, p in others.items() if frozenset((p.a, p.b)) in kept} for here, others in graph.items()
-    }
     loops, sums = [], _Sums()
-    for key in beside:
-        walk = shortest_walk(graph, key[0], key[1], pairs[key])
+
+    def take(key: tuple[str, str], walk: list[Step] | None) -> None:
         if walk is not None and sums.add(_members(walk, bits) | bits[key]):
             loops.append([*walk, Step(pairs[key], False)])
-    if sums.rank == len(beside):
-        return loops
-    own = [(walk, key) for key in beside if (walk := shortest_walk(on_tree, key[0], key[1])) is not None]
-    for walk, key in sorted(own, key=lambda item: len(item[0])):
-        if sums.rank < len(beside) and sums.add(_members(walk, bits) | bits[key]):
-            loops.append([*walk, Step(pairs[key], False)])
+
+    for key in beside:
+        take(key, shortest_walk(graph, *key, pairs[key]))
+    if sums.rank < len(beside):
+        for key in beside:
+            take(key, shortest_walk(on_tree, *key))
     return loops
 
 
