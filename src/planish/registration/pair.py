@@ -29,13 +29,21 @@ from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.geometry import line_of_sight
 from planish.registration.verdict.hypothesis import Hypothesis
 from planish.registration.verdict.judge import Verdict, judge_coarse, judge_refined
+from planish.registration.verdict.reasons import already_found
 
 
 def register_pair(
     a: Prepared, b: Prepared, options: PairOptions | None = None, pairs_in_run: int = 1, threads: int | None = None
 ) -> PairResult:
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
-    options = options or PairOptions()
+    result = _tried(a, b, options or PairOptions(), pairs_in_run, threads)
+    if result.status != "refused":
+        return result
+    return replace(result, reason=result.reason + already_found(a.measurement, b.measurement))
+
+
+def _tried(a: Prepared, b: Prepared, options: PairOptions, pairs_in_run: int, threads: int | None) -> PairResult:
+    """Return the result by keypoints or, where these fail, by whole textures."""
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse = find_consensus(matches, options.consensus, threads, search=_patch_search(a, options.match))
     result = _judged(a, b, matches, coarse, options, pairs_in_run, threads)
