@@ -78,7 +78,7 @@ def find_period(value: Map, sigma: Map, mask: NDArray[np.bool_], pitch_mm: float
     likeness = _likeness(piece, known)
     found: list[Array] = []
     for shift in _peaks(likeness, _SAME * signal):
-        if _dips(likeness, shift) and (not found or _sine(found[0], shift) > _ASIDE):
+        if _dips(likeness, shift) and (not found or _goes_elsewhere(likeness, found[0], shift)):
             found.append(shift)
             if len(found) == 2:
                 break
@@ -156,6 +156,14 @@ def _dips(likeness: Map, shift: Array) -> bool:
     way = np.linspace(0, 1, max(4, 2 * int(np.hypot(*shift))))[:, None] * shift + len(likeness) // 2
     along = sample(likeness, way)
     return bool(along.min() < _DIP * along[-1])
+
+
+def _goes_elsewhere(likeness: Map, first: Array, shift: Array) -> bool:
+    """Whether a shift leads along a direction of its own: not onto the stripes that multiples of the first lead to."""
+    if _sine(first, shift) < _ASIDE:
+        return False
+    most = int(np.ceil(np.hypot(*shift) / np.hypot(*first)))
+    return all(_dips(likeness, shift - k * first) for k in range(-most, most + 1))
 
 
 def _sine(first: Array, other: Array) -> float:
