@@ -13,6 +13,9 @@ import synthetic
 from planish.pipeline import prepare_run
 from planish.registration.pair import register_pair
 from planish.registration.texture.periods import find_period
+from planish.registration.verdict.aligned import Side
+from planish.registration.verdict.hypothesis import as_hypothesis
+from planish.registration.verdict.lattice import as_good_a_period_off
 
 PITCH_MM, SIZE_PX, NOISE = 1.0, 200, 0.01
 #: Places between pixels are told to an eighth of one.
@@ -109,13 +112,30 @@ def board(end_mm=np.inf):
     return np.where(dark & inside, np.float32(0.6), np.float32(1))
 
 
-def registered(texture):
+def seen(texture):
+    """Two views of it, prepared with the options of their resolution."""
     a, b = (
         synthetic.measurement(T, texture, name=name, scale=sheets.SCALE, seed=seed)
         for seed, (name, T) in enumerate((("a", np.eye(4)), ("b", sheets.T_TRUE)))
     )
     options, prepared = prepare_run([a, b], threads=2)
-    return register_pair(prepared["a"], prepared["b"], options, threads=2)
+    return prepared["a"], prepared["b"], options
+
+
+def registered(texture):
+    return register_pair(*seen(texture), threads=2)
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_a_right_motion_is_held_against_those_a_period_off(repeats):
+    a, b, options = seen(board() if repeats else sheets.grain())
+    sides = tuple(Side(p.measurement, p.images, p.contrast) for p in (a, b))
+    first = as_hypothesis(*sides, sheets.T_TRUE, options.verdict.verify)
+    other = as_good_a_period_off(*sides, first, options.verdict.verify, options.verdict.ambiguous_share)
+    assert (other is not None) == repeats
+    if repeats:
+        off = sheets.errors_mm(other.T_a_b, sheets.T_TRUE, np.zeros((1, 3)))[0]
+        assert off == pytest.approx(np.sqrt(2) * SQUARE_MM, abs=2 * PERIOD_TOLERANCE_PX * sheets.PITCH_MM)
 
 
 @pytest.mark.parametrize("end_mm", [np.inf, 5 * SQUARE_MM])
