@@ -9,7 +9,7 @@
 - pattern: simulated chessboards and rasters of dots of 5, 20 and 40 mm on a blank plate, everywhere or with their ends
   in view
 - board: three real views of a chessboard (shared/data/procam_board), whose corners say how it moved; by the calibration
-  that its author gives, which contradicts itself by 2 to 5 px, and by planish's of the same board
+  that its author gives, which contradicts itself by some pixels, and by planish's of the same board
 """
 
 from __future__ import annotations
