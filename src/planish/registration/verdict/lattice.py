@@ -25,7 +25,8 @@ def common_period(images_a: tuple[TextureImage, ...], images_b: tuple[TextureIma
     """Return the period of both textures, of a's image; None where one of them does not repeat, or differently."""
     if not images_a or not images_b:
         return None
-    a, b = (_largest(images).period for images in (images_a, images_b))
+    a = _largest(images_a).period
+    b = None if a is None else _largest(images_b).period
     if a is None or b is None or abs(a.period_mm - b.period_mm) > max(a.pitch_mm, b.pitch_mm):
         return None
     return a
@@ -65,7 +66,7 @@ def as_good_a_period_off(
 
 
 def _shifted(a: Side, b: Side, T_a_b: Array, period: Period, gate_mm: float) -> list[Array]:
-    """Transforms (4, 4) that T_a_b becomes where b is moved by a period on a's surface, to and fro."""
+    """Transforms (4, 4) that T_a_b becomes where b is moved by a period on a's surface, either way."""
     image = _largest(a.images)
     chart = next((c for c in align(a, b, T_a_b, gate_mm) if c.image is image), None)
     if chart is None:
