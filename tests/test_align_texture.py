@@ -59,7 +59,7 @@ def test_a_surface_seen_from_behind_is_not_seen(prepared):
     image = replace(a.images[0], surface=replace(surface, normals_sensor=-surface.normals_sensor))
     source, value, sigma, common = aligned(image, image.mask, b.measurement, b.contrast, sheets.T_TRUE)
     assert np.isnan(source).all()
-    assert not (value.any() or sigma.any() or common.any())
+    assert not any(m.any() for m in (value, sigma, common))
 
 
 def test_the_number_of_threads_changes_nothing(prepared):

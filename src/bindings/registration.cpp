@@ -346,8 +346,8 @@ void bind_registration(nb::module_& m) {
           "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
           "options"_a, "weights"_a, "with_residuals"_a, "threads"_a);
-    m.def("align_texture", &align_texture, "places"_a, "own"_a, "points_a"_a, "normals_a"_a, "camera_b"_a,
-          "points_b"_a, "value_b"_a, "sigma_b"_a, "T_b_a"_a, "gate"_a, "threads"_a);
+    m.def("align_texture", &align_texture, "places"_a, "own"_a, "points_a"_a, "normals_a"_a, "camera_b"_a, "points_b"_a,
+          "value_b"_a, "sigma_b"_a, "T_b_a"_a, "gate"_a, "threads"_a);
     m.def("nearest_pixels", &nearest_pixels, "points_b"_a, "stride"_a, "camera_a"_a, "height_a"_a, "width_a"_a,
           "T_a_b"_a);
     m.def("joint_values", &joint_values, "maps"_a, "centre"_a, "blur"_a, "blur_sigma"_a, "spacing"_a, "threads"_a);

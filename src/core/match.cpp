@@ -98,8 +98,7 @@ class Tile {
             int i = low;
             for (; i + chunk <= high; i += chunk)
                 look_at<true>(products_.col(j).data() + i, first_a + i, chunk, first_b + j, of_a, of_b);
-            if (i < high)
-                look_at<false>(products_.col(j).data() + i, first_a + i, high - i, first_b + j, of_a, of_b);
+            if (i < high) look_at<false>(products_.col(j).data() + i, first_a + i, high - i, first_b + j, of_a, of_b);
         }
     }
 

@@ -15,9 +15,7 @@ struct Packet {
     explicit Packet(const float* from) : values(Eigen::internal::ploadu<Values>(from)) {}
 
     /// Adds a * b, in one instruction where there is one: loops that add products up are bound by their arithmetic.
-    void add_product(const Packet& a, const Packet& b) {
-        values = Eigen::internal::pmadd(a.values, b.values, values);
-    }
+    void add_product(const Packet& a, const Packet& b) { values = Eigen::internal::pmadd(a.values, b.values, values); }
     [[nodiscard]] float sum() const { return Eigen::internal::predux(values); }
 };
 

@@ -90,8 +90,9 @@ void sample(const Image<const float>& chart, const PatchPlace& place, double tur
     for (int y = 0; y < out.side; ++y) {
         const int begin = disc ? disc->begin[y] : 0, end = disc ? disc->end[y] : out.side;
         const double dx = begin - out.half, dy = y - out.half;
-        const Line line{static_cast<float>(place.u + dx * ux + dy * uy), static_cast<float>(place.v + dx * vx + dy * vy),
-                        static_cast<float>(ux), static_cast<float>(vx)};
+        const Line line{static_cast<float>(place.u + dx * ux + dy * uy),
+                        static_cast<float>(place.v + dx * vx + dy * vy), static_cast<float>(ux),
+                        static_cast<float>(vx)};
         if (whole)
             sample_line<true>(chart, line, end - begin, out.row(y) + begin);
         else
@@ -317,8 +318,8 @@ class Aligner {
         const double y = best.y + vertex(at[above].value, best.value, at[below].value);
         double turn = middle + (best.turn - 2) * half_step;
         if (of_turn(best.turn - 1, coarse.turn) && of_turn(best.turn + 1, coarse.turn))
-            turn += half_step *
-                    vertex(around[best.turn - 1][here].value, best.value, around[best.turn + 1][here].value);
+            turn +=
+                half_step * vertex(around[best.turn - 1][here].value, best.value, around[best.turn + 1][here].value);
         return {at_best.value, x, y, turn, at_best.pixels};
     }
 

@@ -8,7 +8,7 @@ from planish.geometry import transform_points
 
 
 def align_texture(image, own, b, contrast, T_b_a, gate):
-    """Pixels (h, w, 2) of b at those of a texture image of a, b's texture and its sigma there (h, w), which have any."""
+    """Pixels (h, w, 2) of b at those of a texture image of a, b's texture and its sigma (h, w), which have any."""
     v, u = np.nonzero(own)
     points, normals, _ = (m.astype(float) for m in image.surface.at(image.source_px[v, u]))
     points, normals = transform_points(T_b_a, points), normals @ T_b_a[:3, :3].T

@@ -42,7 +42,9 @@ def rival_transforms(a: Side, b: Side, T_a_b: Array, apart_mm: float, gate_mm: f
     step = max(1, -(-max(chart.common.shape) // _MAX_SIDE_PX))
     threads = thread_count(a.threads)
     size = fft.next_fast_len(2 * -(-max(chart.common.shape) // step))
-    F_a = fft.rfft2(_drawn(_smoothed(chart.image.value, chart.image.mask, step), np.eye(2, 3) / step, size), workers=threads)
+    F_a = fft.rfft2(
+        _drawn(_smoothed(chart.image.value, chart.image.mask, step), np.eye(2, 3) / step, size), workers=threads
+    )
     value_b = _smoothed(chart.value_b, chart.common, step)
     reach = max(1, round(apart_mm / (chart.image.pitch_mm * step)))
     middle = np.argwhere(chart.common).mean(0)[::-1]

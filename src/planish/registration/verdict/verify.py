@@ -222,9 +222,7 @@ def _clipped(values: Map) -> Map:
     return np.asarray(np.clip(values, -limit, limit))
 
 
-def _correlation(
-    a: Map, b: Map, noise: Array, window: int, search: int, threads: int
-) -> tuple[Array, Array, Array]:
+def _correlation(a: Map, b: Map, noise: Array, window: int, search: int, threads: int) -> tuple[Array, Array, Array]:
     """Matched filter of n windows over their search areas (n, 2 search + 1, 2 search + 1), as a coefficient.
 
     The second of the results is that of each window of a with another one of b: they have no texture in common.
