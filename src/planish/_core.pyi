@@ -17,17 +17,22 @@ def release_memory() -> None: ...
 
 # Registration
 def fit_surface(points: F32, camera: F64, radius: int, max_slope: float, threads: int) -> tuple[F32, F32, F32]: ...
-def locate_texture(
+def align_texture(
     places: F32,
     own: U8,
     points_a: F32,
     normals_a: F32,
     camera_b: F64,
     points_b: F32,
+    value_b: F32,
+    sigma_b: F32,
     T_b_a: F64,
     gate: float,
     threads: int,
-) -> F32: ...
+) -> tuple[F32, F32, F32, U8]: ...
+def nearest_pixels(
+    points_b: F32, stride: int, camera_a: F64, height_a: int, width_a: int, T_a_b: F64
+) -> tuple[NDArray[np.int32], F64]: ...
 def joint_values(
     maps: tuple[F32, F32, F32, F32, F32, F32, F32],
     centre: F64,
