@@ -59,6 +59,7 @@ NB_MODULE(PLANISH_MODULE, m) {
     bind_checks(m);
     bind_texture(m);
     bind_registration(m);
+    bind_refinement(m);
     bind_evaluation(m);
     bind_simulation(m);
 }

@@ -30,13 +30,25 @@ def locate_texture(
     threads: int,
 ) -> F32: ...
 def joint_values(
-    maps: tuple[F32, F32, F32, F32, F32, F32, F32],
+    maps: tuple[F32, F32, F32, F32, F32, F32],
+    texture: F32,
+    slopes: F32,
     centre: F64,
     blur: float,
     blur_sigma: float,
     spacing: int,
     threads: int,
 ) -> F32: ...
+def window_moments(
+    image: F32,
+    taps: Sequence[Sequence[float]],
+    pairs: Sequence[tuple[int, int]],
+    step: int,
+    shape: tuple[int, int],
+    threads: int,
+) -> F32: ...
+def spectrum_products(first: F32, second: F32, step: int, threads: int) -> F32: ...
+def weigh_spectrum(spectrum: F32, cells: F32, step: int, shading: float, threads: int) -> None: ...
 def nearest_descriptors(
     a: U8, size_a: F64, b: U8, size_b: F64, max_size_ratio: float, threads: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]: ...
