@@ -109,17 +109,16 @@ def camera_contrast(
 ) -> tuple[F32, F32, F32]: ...
 def add_to_pattern(value: F32, weight: F32, factor: int, sum: F32, weights: F32, threads: int) -> None: ...
 def remove_pattern(
-    value: F32,
-    variance: F32,
+    band: F32,
     own: F32,
-    sum: F32,
-    weight: F32,
-    prior: F32,
-    still: F32,
-    gain: F32,
+    knowledge: tuple[F32, F32, F32, F32, F32],
     factor: int,
+    share: float,
+    rest: F32,
+    uncertain: F32,
     threads: int,
-) -> tuple[F32, F32]: ...
+) -> None: ...
+def split_bands(value: F32, bell: Sequence[float], factor: int, threads: int) -> tuple[F32, F32, F32, F32, F32]: ...
 def compensated_image(
     value: F32, variance: F32, level: F32, factor: int, place: F32, seen: U8, gain: float, threads: int
 ) -> tuple[F32, F32, F32, F32]: ...

@@ -108,9 +108,7 @@ def _phase_shifts(u_b: Array, v_b: Array, phase: Array, light: Array) -> tuple[A
     return np.asarray(own - slope[0] * slope_light[0] - slope[1] * slope_light[1] - laplacian / 2), slope
 
 
-def _quadratic_fits(
-    fields: list[Map], known: Mask, v: Index, u: Index, threads: int = 1
-) -> tuple[list[Array], Array]:
+def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index, threads: int = 1) -> tuple[list[Array], Array]:
     """Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 (6, n) of each field at places (n), by weighted least squares.
 
     Fields and places are those of means (`_means`), each of a place's indices a multiple of what lies between them;
