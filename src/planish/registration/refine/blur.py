@@ -119,16 +119,16 @@ def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index, threads:
     columns = [np.exp(-0.5 * t**2) * t**p for p in range(5)]
     taps, shape = [c.tolist() for c in columns], (-(-known.shape[0] // step), -(-known.shape[1] // step))
 
-    def moments(image: Map, powers: Sequence[tuple[int, int]]) -> Array:
-        found = _core.window_moments(image, taps, powers, step, shape, threads)
-        return found[:, v // step, u // step].astype(float)
+    def moments(image: Map, powers: Sequence[tuple[int, int]]) -> Map:
+        return _core.window_moments(image, taps, powers, step, shape, threads)
 
-    shares = dict(zip(_MOMENTS, moments(known.astype(np.float32), _MOMENTS), strict=True))
-    number, sums = shares[0, 0], [c.sum() for c in columns]
+    row, column = v // step, u // step
+    shares = moments(known.astype(np.float32), _MOMENTS)
+    number, sums = shares[_MOMENTS.index((0, 0)), row, column], [c.sum() for c in columns]
     # Within a surface all windows are the same.
     rim = np.flatnonzero(number < (1 - _ROUNDING) * sums[0] ** 2)
     inside = _products({(p, q): np.array([sums[p] * sums[q]]) for p, q in _MOMENTS})[0]
-    at_rim = _products({power: share[rim] for power, share in shares.items()})
+    at_rim = _products(dict(zip(_MOMENTS, shares[:, row[rim], column[rim]].astype(float), strict=True)))
     # About a plane, so that float32 sums keep what is bent.
     grid_v, grid_u = np.ogrid[: known.shape[0], : known.shape[1]]
     some = _some(known)
@@ -139,7 +139,7 @@ def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index, threads:
         plane = _plane(field, *some)
         rest = field - (plane[0] + plane[2] * grid_v).astype(np.float32) - (plane[1] * grid_u).astype(np.float32)
         rest[~known] = 0
-        sides = moments(rest, _POWERS)
+        sides = moments(rest, _POWERS)[:, row, column].astype(float)
         found = inverse @ sides
         found[:, rim] = np.einsum("nij,jn->in", of_rim, sides[:, rim])
         found *= per[:, None]

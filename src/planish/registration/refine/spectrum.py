@@ -155,7 +155,8 @@ def seen_apart(
     names = measurement.texture_views
     if len(names) != 2 or measurement.correspondence_px is None:
         return None
-    where = np.ascontiguousarray(np.nan_to_num(measurement.correspondence_px, nan=-1e4))
+    where = np.array(measurement.correspondence_px, np.float32, order="C")
+    cv2.patchNaNs(where.reshape(len(where), -1), -1e4)
     own, known = [], measurement.valid & np.isfinite(sigma)
     for name in names:
         view = measurement.views[name]
@@ -182,9 +183,9 @@ _REACH = 5.0
 
 
 def _continued(half: Map, size: tuple[int, int], around: tuple[int, int]) -> Map:
-    """Return a map (h, w // 2 + 1) over half the spectrum of a real image, continued by so many rows and columns on all sides.
+    """Return a map (h, w // 2 + 1) over half a spectrum, continued by so many rows and columns on all sides.
 
-    Spectra are periodic; those of opposite frequencies are alike.
+    Spectra of real images are periodic; those of opposite frequencies are alike.
     """
     (rows, columns), width = around, half.shape[1]
     opposite = np.roll(half[::-1], 1, axis=0)
