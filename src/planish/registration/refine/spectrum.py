@@ -168,13 +168,17 @@ def seen_apart(
         own.append(image)
         known &= np.isfinite(image)
     density = smooth_map(known.astype(np.float32), shading_px, shading_px)
-    out = []
+    out, shown = [], known & inside
     for image in own:
         with np.errstate(divide="ignore", invalid="ignore"):
-            light = smooth_map(np.where(known, image, np.float32(0)), shading_px, shading_px)
-            contrast = image * density / light - 1
-            contrast = np.clip(contrast, -_MAX_CONTRAST, _MAX_CONTRAST) / sigma
-        out.append(np.where(known & inside & np.isfinite(contrast), contrast, np.float32(0)))
+            # In place: whole frames of temporaries take longer than the arithmetic.
+            contrast = image * density
+            contrast /= smooth_map(np.where(known, image, np.float32(0)), shading_px, shading_px)
+            contrast -= 1
+            np.clip(contrast, -_MAX_CONTRAST, _MAX_CONTRAST, out=contrast)
+            contrast /= sigma
+        contrast[~(shown & np.isfinite(contrast))] = 0
+        out.append(contrast)
     return out[0], out[1]
 
 
