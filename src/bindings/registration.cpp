@@ -11,7 +11,6 @@
 #include "core/consensus.hpp"
 #include "core/joint.hpp"
 #include "core/joint_pull.hpp"
-#include "core/joint_values.hpp"
 #include "core/match.hpp"
 #include "core/nearest_pixels.hpp"
 #include "core/patches.hpp"
@@ -208,22 +207,6 @@ nb::tuple joint_pull(const nb::tuple& maps_a, const In<double, 1>& camera_a, con
 }
 
 /// Points, sigma, normals, tangents, displacement by blur, texture and its sigma: see planish::JointSources.
-Out<float, 3> joint_values(const nb::tuple& maps, const In<double, 1>& centre, double blur, double blur_sigma,
-                           int spacing, int threads) {
-    const auto three = [&](int k) { return view<float, 3>(nb::cast<In<float, 3>>(maps[k])); };
-    const auto two = [&](int k) { return view<float, 2>(nb::cast<In<float, 2>>(maps[k])); };
-    const planish::JointSources in{three(0), two(1), three(2), three(3), two(4), two(5), two(6)};
-    const planish::JointValueOptions options{Eigen::Vector3d(centre(0), centre(1), centre(2)).cast<float>(),
-                                             static_cast<float>(blur), static_cast<float>(blur_sigma), spacing};
-    const auto thinned = [&](int n) { return (n + spacing - 1) / spacing; };
-    Owned<float> values(thinned(in.points.height), thinned(in.points.width), planish::joint::channels);
-    {
-        nb::gil_scoped_release release;
-        planish::joint_values(in, options, threads, values.image);
-    }
-    return values.maps();
-}
-
 Out<std::int32_t, 2> nearest_rows(const std::vector<planish::Nearest>& found) {
     Owned<std::int32_t> out(static_cast<int>(found.size()), 3, 1);
     for (std::size_t i = 0; i < found.size(); ++i) {
@@ -350,7 +333,6 @@ void bind_registration(nb::module_& m) {
           "value_b"_a, "sigma_b"_a, "T_b_a"_a, "gate"_a, "threads"_a);
     m.def("nearest_pixels", &nearest_pixels, "points_b"_a, "stride"_a, "camera_a"_a, "height_a"_a, "width_a"_a,
           "T_a_b"_a);
-    m.def("joint_values", &joint_values, "maps"_a, "centre"_a, "blur"_a, "blur_sigma"_a, "spacing"_a, "threads"_a);
     m.def("joint_pull", &joint_pull, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a, "options"_a,
           "weights"_a, "threads"_a);
 }
