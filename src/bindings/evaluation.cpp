@@ -2,6 +2,7 @@
 
 #include <nanobind/stl/pair.h>
 
+#include <stdexcept>
 #include <vector>
 
 #include "bindings/arrays.hpp"
@@ -31,6 +32,29 @@ nb::tuple look_up_distance(const In<float, 3>& points_a, const In<float, 3>& nor
         planish::look_up_distance(a, b, T, max_distance, threads, distances.image, pixel_map);
     }
     return nb::make_tuple(distances.map(), pixels.maps());
+}
+
+/// Number of known distances, sum of their squares, area of their pixels.
+nb::tuple known_distances(const In<float, 2>& distances, const In<float, 2>& areas, int threads) {
+    const auto map = view<float, 2>(distances), area = view<float, 2>(areas);
+    if (map.height != area.height || map.width != area.width) throw std::invalid_argument("maps differ in size");
+    planish::Known found;
+    {
+        nb::gil_scoped_release release;
+        found = planish::known_distances(map, area, threads);
+    }
+    return nb::make_tuple(found.count, found.squares, found.area);
+}
+
+Out<float, 2> pixel_areas(const In<float, 3>& tangents, int threads) {
+    const auto in = view<float, 3>(tangents);
+    if (in.channels != 6) throw std::invalid_argument("tangents must be (H, W, 6)");
+    Owned<float> areas(in.height, in.width, 1);
+    {
+        nb::gil_scoped_release release;
+        planish::pixel_areas(in, threads, areas.image);
+    }
+    return areas.map();
 }
 
 Out<float, 2> cell_medians(const In<float, 2>& map, int size, int min_count, int threads) {
@@ -114,6 +138,8 @@ Out<double, 2> shift_scores(const In<float, 2>& value_a, const In<float, 2>& sig
 void bind_evaluation(nb::module_& m) {
     m.def("look_up_distance", &look_up_distance, "points_a"_a, "normals_a"_a, "camera_a"_a, "points_b"_a, "normals_b"_a,
           "T_a_b"_a, "max_distance"_a, "with_pixels"_a, "threads"_a);
+    m.def("known_distances", &known_distances, "distances"_a, "areas"_a, "threads"_a);
+    m.def("pixel_areas", &pixel_areas, "tangents"_a, "threads"_a);
     m.def("cell_medians", &cell_medians, "map"_a, "size"_a, "min_count"_a, "threads"_a);
     m.def("tile_shifts", &tile_shifts, "value_a"_a, "sigma_a"_a, "value_b"_a, "sigma_b"_a, "pixels_b"_a, "tiles"_a,
           "size"_a, "start_1"_a, "start_2"_a, "threads"_a);

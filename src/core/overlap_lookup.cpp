@@ -9,6 +9,7 @@
 #include "core/moved_camera.hpp"
 #include "core/parallel.hpp"
 #include "core/prefetch.hpp"
+#include "core/view_cone.hpp"
 
 namespace planish {
 namespace {
@@ -16,6 +17,8 @@ namespace {
 constexpr float NOT_A_NUMBER = std::numeric_limits<float>::quiet_NaN();
 /// A pixel this near to a column or row lies on it [px]: float32 points do not project back any better.
 constexpr double SNAP_PX = 1e-3;
+/// Edge of the blocks of b that are passed over where a's camera sees none of them [px].
+constexpr int BLOCK_PX = 32;
 
 /// Bilinear weights of one coordinate: 1 - f at `first`, f at `first + 1` (not needed where f = 0).
 struct Weight {
@@ -84,11 +87,20 @@ struct Problem {
           camera(a_.camera, R, t),
           max_distance(max_distance_) {}
 
+    /// Which blocks of a row of blocks a's camera may see.
+    [[nodiscard]] std::vector<bool> seen_blocks(const ViewCone& cone, int top, int bottom) const {
+        std::vector<bool> seen;
+        for (int left = 0; left < b.points.width; left += BLOCK_PX)
+            seen.push_back(
+                cone.may_see(box_of(b.points, top, left, bottom, std::min(left + BLOCK_PX, b.points.width))));
+        return seen;
+    }
+
     /// Takes the next points of a row, and asks for what will be read of a.
-    void take(const float* points, int& next, Ahead& out) const {
+    void take(const float* points, int& next, int end, Ahead& out) const {
         out.count = 0;
         Places& p = out.places;
-        for (; next < b.points.width && out.count < kAhead; ++next) {
+        for (; next < end && out.count < kAhead; ++next) {
             const float* point = points + std::ptrdiff_t{3} * next;
             if (std::isnan(point[2])) continue;
             out.columns[out.count] = next;
@@ -132,20 +144,71 @@ struct Problem {
 void look_up_distance(const OrganisedSurface& a, const OrganisedSurface& b, const Eigen::Matrix4d& T_a_b,
                       double max_distance, int threads, const Image<float>& distances, const Image<float>& pixels) {
     const Problem problem(a, b, T_a_b, max_distance);
-    const int width = b.points.width;
-    parallel_tasks(static_cast<std::size_t>(b.points.height), threads, [&](std::size_t row) {
-        const int v = static_cast<int>(row);
+    const ViewCone cone(problem.camera, a.points.width, a.points.height);
+    const int width = b.points.width, height = b.points.height;
+    const auto add_row = [&](int v, int first, int end) {
         float *out = distances.row(v), *out_pixels = pixels.empty() ? nullptr : pixels.row(v);
-        std::fill_n(out, width, NOT_A_NUMBER);
-        if (out_pixels) std::fill_n(out_pixels, 2 * static_cast<std::size_t>(width), NOT_A_NUMBER);
         // While some are compared, memory answers what was asked for by the next.
         std::array<Ahead, 2> ahead;
         int turn = 0;
-        for (int next = 0; next < width; turn = 1 - turn) {
-            problem.take(b.points.row(v), next, ahead[turn]);
+        for (int next = first; next < end; turn = 1 - turn) {
+            problem.take(b.points.row(v), next, end, ahead[turn]);
             problem.compare(ahead[1 - turn], v, out, out_pixels);
         }
         problem.compare(ahead[1 - turn], v, out, out_pixels);
+    };
+    parallel_tasks(static_cast<std::size_t>((height + BLOCK_PX - 1) / BLOCK_PX), threads, [&](std::size_t row) {
+        const int top = static_cast<int>(row) * BLOCK_PX, bottom = std::min(height, top + BLOCK_PX);
+        const auto seen = problem.seen_blocks(cone, top, bottom);
+        const int blocks = static_cast<int>(seen.size());
+        for (int v = top; v < bottom; ++v) {
+            std::fill_n(distances.row(v), width, NOT_A_NUMBER);
+            if (!pixels.empty()) std::fill_n(pixels.row(v), 2 * static_cast<std::size_t>(width), NOT_A_NUMBER);
+            for (int first = 0; first < blocks; ++first) {
+                if (!seen[first]) continue;
+                int last = first;
+                while (last + 1 < blocks && seen[last + 1]) ++last;
+                add_row(v, first * BLOCK_PX, std::min(width, (last + 1) * BLOCK_PX));
+                first = last;
+            }
+        }
+    });
+}
+
+Known known_distances(const Image<const float>& distances, const Image<const float>& areas, int threads) {
+    constexpr std::size_t rows = 16;
+    return parallel_sum<Known>(distances.height, rows, threads, [&](std::size_t first, std::size_t last) {
+        Known sums;
+        for (std::size_t v = first; v < last; ++v) {
+            const float *d = distances.row(static_cast<int>(v)), *area = areas.row(static_cast<int>(v));
+            // Lane by lane, so that the compiler may take several at once.
+            constexpr int lanes = 8;
+            std::array<double, lanes> squares{}, areas_of{};
+            std::array<int, lanes> counts{};
+            for (int u = 0; u < distances.width; u += lanes) {
+                const int n = std::min(lanes, distances.width - u);
+                for (int i = 0; i < n; ++i) {
+                    const bool known = d[u + i] == d[u + i];
+                    const double value = known ? d[u + i] : 0.0F;
+                    squares[i] += value * value;
+                    areas_of[i] += known ? area[u + i] : 0.0F;
+                    counts[i] += known;
+                }
+            }
+            for (int i = 0; i < lanes; ++i) sums += {counts[i], squares[i], areas_of[i]};
+        }
+        return sums;
+    });
+}
+
+void pixel_areas(const Image<const float>& tangents, int threads, const Image<float>& areas) {
+    parallel_for(areas.pixels(), threads, [&](std::size_t first, std::size_t last) {
+        const float* x = tangents.data + 6 * first;
+        for (std::size_t i = first; i < last; ++i, x += 6) {
+            const float uu = x[0] * x[0] + x[1] * x[1] + x[2] * x[2], vv = x[3] * x[3] + x[4] * x[4] + x[5] * x[5];
+            const float uv = x[0] * x[3] + x[1] * x[4] + x[2] * x[5], squared = uu * vv - uv * uv;
+            areas.data[i] = squared > 0 ? std::sqrt(squared) : 0.0F;
+        }
     });
 }
 

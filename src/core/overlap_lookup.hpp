@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstdint>
 
 #include "core/camera.hpp"
 #include "core/image.hpp"
@@ -22,6 +23,26 @@ struct OrganisedSurface {
 /// bilinear interpolation of its four neighbouring points. `pixels` (H, W of b, 2) takes the pixel in a, or is empty.
 void look_up_distance(const OrganisedSurface& a, const OrganisedSurface& b, const Eigen::Matrix4d& T_a_b,
                       double max_distance, int threads, const Image<float>& distances, const Image<float>& pixels);
+
+/// What is known of a map of distances: number, sum of squares [mm^2], and area of its pixels [mm^2].
+struct Known {
+    std::int64_t count = 0;
+    double squares = 0, area = 0;
+
+    Known& operator+=(const Known& other) {
+        count += other.count;
+        squares += other.squares;
+        area += other.area;
+        return *this;
+    }
+};
+
+/// Sums over the pixels whose distance (H, W) is not NaN, each with its own area (H, W).
+Known known_distances(const Image<const float>& distances, const Image<const float>& areas, int threads);
+
+/// Area (H, W) of the surface that each pixel covers [mm^2], from its tangents (H, W, 6) along u and v; 0 where there
+/// is none. |u x v| by Lagrange's identity.
+void pixel_areas(const Image<const float>& tangents, int threads, const Image<float>& areas);
 
 /// Median (rows, columns) over square cells of `size` px of a map with NaN: NaN where fewer than `min_count` values.
 /// Returns the same for any order of equal values; an even count gives the mean of the middle two.

@@ -99,10 +99,10 @@ def signed_distances(
     )  # fmt: skip
 
 
-def overlap_fraction(a: Prepared, b: Prepared, distance_of_a: Map) -> float:
+def overlap_fraction(a: Prepared, b: Prepared, distance_of_a: Map, threads: int | None = None) -> float:
     """Return the overlap, given the distances (H, W of a) of a's points from b (NaN outside)."""
     smaller = min(a.area_mm2, b.area_mm2)
-    shared = float(np.sum(a.areas_mm2, where=np.isfinite(distance_of_a), dtype=float))
+    _, _, shared = _core.known_distances(distance_of_a, a.areas_mm2, thread_count(threads))
     return min(1.0, shared / smaller) if smaller > 0 else 0.0
 
 
@@ -129,8 +129,8 @@ def evaluate_overlap(
     return OverlapEvaluation(
         a.measurement.name,
         b.measurement.name,
-        overlap_fraction(a, b, distance_of_a),
-        _summarise(distance, tiles, b.gsd_mm, options, threads),
+        overlap_fraction(a, b, distance_of_a, threads),
+        _summarise(b, distance, tiles, options, threads),
         distance,
         distance_of_a,
         tiles,
@@ -138,21 +138,21 @@ def evaluate_overlap(
 
 
 def _summarise(
-    distance: Map, tiles: TileShifts, gsd_mm: float, options: OverlapOptions, threads: int | None
+    b: Prepared, distance: Map, tiles: TileShifts, options: OverlapOptions, threads: int | None
 ) -> OverlapError | None:
-    values = distance[np.isfinite(distance)]
-    if len(values) == 0:
+    points, squares, _ = _core.known_distances(distance, b.areas_mm2, thread_count(threads))
+    if points == 0:
         return None
-    size = max(3, round(options.cell_mm / gsd_mm))
+    size = max(3, round(options.cell_mm / b.gsd_mm))
     medians = _core.cell_medians(distance, size, int(np.ceil(options.min_cell_share * size**2)), thread_count(threads))
     if not np.isfinite(medians).any():  # a sliver: no cell is half filled
         medians = _core.cell_medians(distance, size, 1, thread_count(threads))
     rms, sigma = tiles.rms()
     return OverlapError(
-        points=len(values),
+        points=points,
         min_mm=float(np.nanmin(medians)),
         max_mm=float(np.nanmax(medians)),
-        rms_normal_mm=float(np.sqrt(np.mean(np.square(values, dtype=np.float64)))),
+        rms_normal_mm=float(np.sqrt(squares / points)),
         rms_tangential_mm=rms,
         sigma_tangential_mm=sigma,
     )

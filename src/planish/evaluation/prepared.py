@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import cached_property
 
-import numpy as np
-
+from planish import _core
 from planish.measurement import Map, Measurement
+from planish.options import thread_count
 from planish.registration.surface import Surface, fit_surface
 from planish.registration.texture.photometric import local_contrast
 from planish.registration.tiles import ground_sample_distance, tile_size_px
@@ -64,12 +64,7 @@ class Prepared:
     @cached_property
     def areas_mm2(self) -> Map:
         """Area of the surface that each pixel covers (H, W) [mm^2]; 0 where there is no surface."""
-        tangents = self.surface.tangents_sensor
-        u, v = tangents[..., :3], tangents[..., 3:]
-        # |u x v| by Lagrange's identity: cheaper than the cross product of whole images.
-        uv = np.einsum("hwi,hwi->hw", u, v)
-        squared = np.einsum("hwi,hwi->hw", u, u) * np.einsum("hwi,hwi->hw", v, v) - uv * uv
-        return np.sqrt(np.nan_to_num(squared, nan=0.0).clip(min=0.0))
+        return _core.pixel_areas(self.surface.tangents_sensor, thread_count(self._threads))
 
     @cached_property
     def area_mm2(self) -> float:
