@@ -308,7 +308,7 @@ def test_distances_pull_nowhere_along_a_noisy_plane():
     a, b = (prepare(sheets.noisy(sheets.quiet("a", 0.0), seed), sheets.PITCH_MM).sides[1] for seed in (1, 2))
     about = np.zeros(3)
     plain = at(a, b, np.eye(4), about)
-    found = at(a, b, np.eye(4), about, Weights.from_residuals(plain, 1.0))
+    found = at(a, b, np.eye(4), about, Weights.from_residuals(plain.sums, 1.0))
     info = information(found, LEVER_MM)
     held = found.g_distance / SCALE
     along, across = [2, 3, 4], [0, 1, 5]
@@ -327,7 +327,7 @@ def test_the_curvature_of_weak_texture_is_that_of_its_gradient():
         prepare(sheets.noisy(sheets.quiet(s, 0.0, 0.02), i, 4.0), sheets.PITCH_MM).sides[1] for i, s in enumerate("ab")
     )
     about = np.zeros(3)
-    weights = Weights.from_residuals(at(a, b, sheets.T_TRUE, about), a.noise_passed)
+    weights = Weights.from_residuals(at(a, b, sheets.T_TRUE, about).sums, a.noise_passed)
     xi = np.array([0, 0, 0, 0.2, 0, 0])
     ends = [at(a, b, perturb(sheets.T_TRUE, s * xi, about), about, weights) for s in (1, -1)]
     slope = (ends[0].g_texture - ends[1].g_texture)[3] / 0.4

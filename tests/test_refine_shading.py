@@ -94,7 +94,7 @@ def test_eliminating_them_is_solving_for_all_parameters_at_once(bent):
 def test_a_contrast_that_changes_over_the_surface_is_found(bent):
     a, b = bent[0].fit_sides[1], dimmed(bent[1].sides[1])
     found = look(a, b, Weights.alike(b, TILE))
-    gain = shading(found)[:, :, 0]
+    gain = shading(found.sums)[:, :, 0]
     middle = (np.arange(gain.shape[1]) + 0.5) * TILE / b.texture.shape[1]
     expected = np.interp(middle, (0, 1), GAINS)
     known = found.tile_sizes[:, :, 1, 0] > TILE**2 / 2

@@ -11,6 +11,7 @@
 #include "core/consensus.hpp"
 #include "core/joint.hpp"
 #include "core/joint_pull.hpp"
+#include "core/joint_samples.hpp"
 #include "core/match.hpp"
 #include "core/nearest_pixels.hpp"
 #include "core/patches.hpp"
@@ -181,6 +182,35 @@ nb::tuple joint_normal_equations(const nb::tuple& maps_a, const In<double, 1>& c
                           sizes.maps(), shading.maps(), distances.map(), differences.map());
 }
 
+/// See planish::joint_samples. Returns number and sum of absolute residuals per tile (rows, columns, 2 of the distance
+/// and 2 of the texture), the samples of the textures (n, 3) and how many of them each tile has (rows x columns,).
+nb::tuple joint_samples(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
+                        const In<double, 2>& T_a_b, const nb::tuple& options, int threads) {
+    const auto o = joint_options(options);
+    const auto a = joint_maps(maps_a), b = joint_maps(maps_b);
+    const auto camera = camera_from(camera_a);
+    const Rigid T(T_a_b);
+    planish::JointSamples found;
+    {
+        nb::gil_scoped_release release;
+        found = planish::joint_samples(a, camera, b, T.R, T.t, o, threads);
+    }
+    Owned<double> sizes(found.tile_rows, found.tile_columns, 4);
+    for (std::size_t i = 0; i < found.tile_sizes.size(); ++i)
+        std::copy_n(found.tile_sizes[i].data(), 4, sizes.image.data + 4 * i);
+    Owned<float> textures(static_cast<int>(found.textures.size()), 3, 1);
+    for (std::size_t i = 0; i < found.textures.size(); ++i) {
+        const auto& [texture_a, texture_b, over_sigma] = found.textures[i];
+        float* to = textures.image.data + 3 * i;
+        to[0] = texture_a;
+        to[1] = texture_b;
+        to[2] = over_sigma;
+    }
+    Owned<std::int64_t> counts(1, static_cast<int>(found.counts.size()), 1);
+    std::copy(found.counts.begin(), found.counts.end(), counts.image.data);
+    return nb::make_tuple(sizes.maps(), textures.map(), counts.map());
+}
+
 /// See planish::joint_pull. Returns the pull (rows x columns, 6, 3) of all tiles and their pixels (rows x columns,).
 nb::tuple joint_pull(const nb::tuple& maps_a, const In<double, 1>& camera_a, const nb::tuple& maps_b,
                      const In<double, 2>& T_a_b, const In<double, 1>& about, const nb::tuple& options,
@@ -333,6 +363,7 @@ void bind_registration(nb::module_& m) {
           "value_b"_a, "sigma_b"_a, "T_b_a"_a, "gate"_a, "threads"_a);
     m.def("nearest_pixels", &nearest_pixels, "points_b"_a, "stride"_a, "camera_a"_a, "height_a"_a, "width_a"_a,
           "T_a_b"_a);
+    m.def("joint_samples", &joint_samples, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "options"_a, "threads"_a);
     m.def("joint_pull", &joint_pull, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a, "options"_a,
           "weights"_a, "threads"_a);
 }

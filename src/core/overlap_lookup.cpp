@@ -65,6 +65,36 @@ double distance_at(const OrganisedSurface& a, const Weight& u, const Weight& v, 
     return sum;
 }
 
+/// Values that the compiler takes at once.
+constexpr int LANES = 8;
+/// Up to so many values, ranks by comparing each with all others are found sooner than by sorting, which branches.
+constexpr int FEW = 128;
+
+/// Median of the first `count` of `values`, which it may reorder; there are `LANES` more than can count.
+float median(std::vector<float>& values, int count) {
+    if (count > FEW) {
+        const auto end = values.begin() + count, middle = values.begin() + count / 2;
+        std::nth_element(values.begin(), middle, end);
+        return count % 2 == 0 ? 0.5F * (*middle + *std::max_element(values.begin(), middle)) : *middle;
+    }
+    std::fill_n(values.begin() + count, LANES, std::numeric_limits<float>::infinity());
+    const int filled = (count + LANES - 1) / LANES * LANES, lower_rank = (count - 1) / 2, upper_rank = count / 2;
+    float lower = NOT_A_NUMBER, upper = NOT_A_NUMBER;
+    for (int i = 0; i < count; ++i) {
+        const float value = values[i];
+        int less = 0, no_more = 0;
+        for (int j = 0; j < filled; ++j) {
+            less += values[j] < value ? 1 : 0;
+            no_more += values[j] <= value ? 1 : 0;
+        }
+        // Equal values share their ranks.
+        if (less <= lower_rank && lower_rank < no_more) lower = value;
+        if (less <= upper_rank && upper_rank < no_more) upper = value;
+        if (lower == lower && upper == upper) break;
+    }
+    return 0.5F * (lower + upper);
+}
+
 /// Points of one row of b, and where they lie in a's image.
 struct Ahead {
     int count = 0;
@@ -214,21 +244,20 @@ void pixel_areas(const Image<const float>& tangents, int threads, const Image<fl
 
 void cell_medians(const Image<const float>& map, int size, int min_count, int threads, const Image<float>& medians) {
     parallel_for(static_cast<std::size_t>(medians.height), threads, [&](std::size_t first, std::size_t last) {
-        std::vector<float> values;
+        // Filled up to whole vectors.
+        std::vector<float> values(static_cast<std::size_t>(size) * size + LANES);
         for (int row = static_cast<int>(first); row < static_cast<int>(last); ++row)
             for (int column = 0; column < medians.width; ++column) {
-                values.clear();
-                for (int v = row * size; v < std::min(map.height, (row + 1) * size); ++v)
-                    for (int u = column * size; u < std::min(map.width, (column + 1) * size); ++u)
-                        if (const float value = *map.at(v, u); value == value) values.push_back(value);
-                float median = NOT_A_NUMBER;
-                if (!values.empty() && static_cast<int>(values.size()) >= min_count) {
-                    const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-                    std::nth_element(values.begin(), middle, values.end());
-                    median = *middle;
-                    if (values.size() % 2 == 0) median = 0.5F * (median + *std::max_element(values.begin(), middle));
+                int count = 0;
+                const int right = std::min(map.width, (column + 1) * size);
+                for (int v = row * size; v < std::min(map.height, (row + 1) * size); ++v) {
+                    const float* from = map.row(v);
+                    for (int u = column * size; u < right; ++u) {
+                        values[count] = from[u];
+                        count += from[u] == from[u] ? 1 : 0;
+                    }
                 }
-                *medians.at(row, column) = median;
+                *medians.at(row, column) = count > 0 && count >= min_count ? median(values, count) : NOT_A_NUMBER;
             }
     });
 }

@@ -157,6 +157,9 @@ def joint_normal_equations(
     with_residuals: bool,
     threads: int,
 ) -> tuple[_Normal, _Normal, F64, F64, float, F64, F64, F64, F32, F32]: ...
+def joint_samples(
+    maps_a: _Maps, camera_a: F64, maps_b: _Maps, T_a_b: F64, options: tuple[float, float, int, int], threads: int
+) -> tuple[F64, F32, NDArray[np.int64]]: ...
 def joint_pull(
     maps_a: _Maps,
     camera_a: F64,

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from planish.geometry import Array
 from planish.measurement import Map
 from planish.registration.refine.local_correlation import local_correlation_sigma
-from planish.registration.refine.residuals import PER_MEAN_ABSOLUTE, Weights, around, equations, tile_of
+from planish.registration.refine.residuals import PER_MEAN_ABSOLUTE, Weights, around, tile_of
+from planish.registration.refine.samples import samples
 from planish.registration.refine.sides import JointSide
 from planish.registration.refine.solve import Refined, RefineOptions
 from planish.registration.refine.spectrum import MOST_NOISE
@@ -81,20 +82,20 @@ def fit_statistics(
     options = options or RefineOptions()
     tile = tile_of(_STRIDE, refined.weights.tile)
     weights = Weights.alike(b, tile).shaded(_shading_of(refined.weights, b, tile))
-    e = equations(
-        a, b, refined.T_a_b, refined.about, weights, max_distance_mm=max(options.max_distance_mm),
-        max_normal_rad=options.max_normal_rad, stride=_STRIDE, tile_px=tile, residuals=False, threads=threads,
-    )  # fmt: skip
-    number_d, rms_d = _sizes(e.tile_sizes[:, :, 0])
-    number, rms = _sizes(e.tile_sizes[:, :, 1])
+    e = samples(
+        a, b, refined.T_a_b, max_distance_mm=max(options.max_distance_mm), max_normal_rad=options.max_normal_rad,
+        stride=_STRIDE, tile_px=tile, threads=threads,
+    ).sums(weights)  # fmt: skip
+    number_d, rms_d = _sizes(e.sizes[:, :, 0])
+    number, rms = _sizes(e.sizes[:, :, 1])
     scale = _weighted_median(rms_d, number_d)
     sigma_mm = np.sqrt(_median(a.values[..., 3]) + _median(b.values[..., 3]))
     noise = (a.noise_passed + b.noise_passed) / 2
     with np.errstate(divide="ignore", invalid="ignore"):
-        four_means = np.where(number > 0, 4 * around(e.tile_shading[..., 12]) / around(e.tile_sizes[:, :, 1, 0]), 0)
+        four_means = np.where(number > 0, 4 * around(e.squares[..., 0, 0]) / around(e.sizes[:, :, 1, 0]), 0)
     both, common = four_means + rms**2, four_means - rms**2
     pixels_per_value = float(np.sqrt(a.pixels_per_value * b.pixels_per_value))
-    values = max(e.texture_points * _STRIDE**2 / pixels_per_value, 1.0)
+    values = max(float(e.sizes[:, :, 1, 0].sum()) * _STRIDE**2 / pixels_per_value, 1.0)
     sigma = refined.equations.correlation * float(np.sqrt(refined.equations.texture_points / pixels_per_value))
     if shading_px is not None and sigma < _CLEAR_SIGMA:
         sigma = max(sigma, local_correlation_sigma(a, b, refined, shading_px, options, threads))

@@ -52,11 +52,35 @@ class Equations:
     differences: Map
     g_blur: Array = field(default_factory=lambda: np.zeros(6))
 
+    @property
+    def sums(self) -> TileSums:
+        """What weights and shading follow from."""
+        shape = self.tile_shading.shape[:2]
+        squares = self.tile_shading[..., 12:16].reshape(*shape, 2, 2)
+        return TileSums(self.tile, self.tile_sizes, squares, self.tile_shading[..., 16:18])
+
+
+@dataclass(frozen=True)
+class TileSums:
+    """Sizes of the residuals in each tile (`tile` px) of b, and what gain and offset of its textures follow from.
+
+    `sizes` (rows, columns, 2, 2) are `tile_sizes` of `Equations`; with the robust weights W, the residuals r and their
+    derivatives M by gain and offset, with the opposite sign, `squares` (rows, columns, 2, 2) are M'WM and `residuals`
+    (rows, columns, 2) M'Wr.
+    """
+
+    tile: int
+    sizes: Array
+    squares: Array
+    residuals: Array
+
 
 #: Standard deviation of normal values over their mean absolute value.
 PER_MEAN_ABSOLUTE = float(np.sqrt(np.pi / 2))
 #: The scale of all tiles counts in each as much as so many of its own residuals.
 PRIOR = 50.0
+#: Tukey's biweight is 0 from so many scales on, as in the kernels.
+TUKEY = 4.685
 #: Smallest scale, where there is no noise at all.
 _LEAST_SCALE = 1e-3
 
@@ -85,7 +109,7 @@ class Weights:
         return cls(np.tile(of_tile, (rows, columns, 1, 1)), tile)
 
     @classmethod
-    def from_residuals(cls, equations: Equations, noise_passed: float) -> Self:
+    def from_residuals(cls, sums: TileSums, noise_passed: float) -> Self:
         """Return weights from the size of the residuals in each tile and its neighbours.
 
         Where residuals are larger than their noise (highlights, dust, shading by noisy normals, distortion), they count
@@ -93,15 +117,15 @@ class Weights:
         differences over that of their noise. Tiles that meet nothing, nor do their neighbours, weigh nothing: they need
         not be looked at again.
         """
-        out = np.zeros((*equations.tile_sizes.shape[:3], 4), np.float32)
-        met = around(equations.tile_sizes[:, :, 0, 0]) > 0
+        out = np.zeros((*sums.sizes.shape[:3], 4), np.float32)
+        met = around(sums.sizes[:, :, 0, 0]) > 0
         for kind, expected in enumerate((1.0, np.sqrt(noise_passed))):
-            number, absolute = np.moveaxis(equations.tile_sizes[:, :, kind], 2, 0)
+            number, absolute = np.moveaxis(sums.sizes[:, :, kind], 2, 0)
             mean = absolute.sum() / max(number.sum(), 1.0)
             scale = PER_MEAN_ABSOLUTE * (around(absolute) + PRIOR * mean) / (around(number) + PRIOR)
             out[:, :, kind, 0] = np.maximum(scale, _LEAST_SCALE)
             out[:, :, kind, 1] = np.where(met, 1 / np.maximum(1.0, scale / expected) ** 2, 0.0)
-        return cls(out, equations.tile)
+        return cls(out, sums.tile)
 
     def only(self, kind: int) -> Weights:
         """Return the weights with those of the other kind 0 (0 = distance, 1 = texture)."""

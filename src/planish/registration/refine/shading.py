@@ -12,7 +12,7 @@ import numpy as np
 
 from planish.geometry import Array
 from planish.measurement import Map
-from planish.registration.refine.residuals import PRIOR, Equations, around
+from planish.registration.refine.residuals import PRIOR, Equations, TileSums, around
 
 #: Gain and offset are free in each square of so many tiles along both axes.
 _CELL = 3
@@ -22,16 +22,15 @@ _MOST_GAIN = 1.0
 _EMPTY = 1e-9
 
 
-def shading(e: Equations) -> Map:
-    """Return by how much gain and offset (rows, columns, 2) of b's tiles differ from those that the equations hold.
+def shading(sums: TileSums) -> Map:
+    """Return by how much gain and offset (rows, columns, 2) of b's tiles differ from those that the sums hold.
 
-    Least squares with the equations' robust weights over each tile and its neighbours; all tiles together count as much
+    Least squares with the sums' robust weights over each tile and its neighbours; all tiles together count as much
     as some residuals of each, so that little texture says little.
     """
-    squares, residuals = _sums(e.tile_shading)
-    share = PRIOR / max(float(e.tile_sizes[:, :, 1, 0].sum()), 1.0)
-    S = around(squares) + share * squares.sum((0, 1))
-    c = around(residuals) + share * residuals.sum((0, 1))
+    share = PRIOR / max(float(sums.sizes[:, :, 1, 0].sum()), 1.0)
+    S = around(sums.squares) + share * sums.squares.sum((0, 1))
+    c = around(sums.residuals) + share * sums.residuals.sum((0, 1))
     found = _inverse(S) @ c[..., None]
     found[..., 0, 0] = np.clip(found[..., 0, 0], -_MOST_GAIN, _MOST_GAIN)
     return np.asarray(found[..., 0], np.float32)
@@ -47,9 +46,9 @@ def without_shading(e: Equations) -> Equations:
     what their cell's gain and offset explain, and still add up to the whole.
     """
     change = _change(e.tile_shading)
-    squares, residuals = _sums(e.tile_shading)
-    inverse = _inverse(_cells(squares))
-    found = inverse @ _cells(residuals)[..., None]
+    sums = e.sums
+    inverse = _inverse(_cells(sums.squares))
+    found = inverse @ _cells(sums.residuals)[..., None]
     of_cell = _cells(change)
     lost = np.einsum("rcip,rcpq,rcjq->ij", of_cell, inverse, of_cell)
     rows, columns = change.shape[:2]
@@ -66,11 +65,6 @@ def without_shading(e: Equations) -> Equations:
 def _change(tile_shading: Array) -> Array:
     """J'WM (rows, columns, 6, 2) of the tiles."""
     return np.moveaxis(tile_shading[..., :12].reshape(*tile_shading.shape[:2], 2, 6), 2, 3)
-
-
-def _sums(tile_shading: Array) -> tuple[Array, Array]:
-    """M'WM (rows, columns, 2, 2) and M'Wr (rows, columns, 2) of the tiles."""
-    return tile_shading[..., 12:16].reshape(*tile_shading.shape[:2], 2, 2), tile_shading[..., 16:18]
 
 
 def _cells(of_tiles: Array) -> Array:

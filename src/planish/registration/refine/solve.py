@@ -13,6 +13,7 @@ from planish.geometry import Array, perturb
 from planish.options import Options, thread_count
 from planish.registration.refine.information import held_directions, information
 from planish.registration.refine.residuals import Equations, Weights, equations
+from planish.registration.refine.samples import samples
 from planish.registration.refine.shading import shading, without_shading
 from planish.registration.refine.sides import JointSide
 
@@ -121,12 +122,10 @@ class _Problem:
     options: RefineOptions
     threads: int
 
-    def at(
-        self, a: JointSide, b: JointSide, T: Array, weights: Weights | None, max_distance_mm: float, stride: int = 1
-    ) -> Equations:
+    def at(self, a: JointSide, b: JointSide, T: Array, weights: Weights, max_distance_mm: float) -> Equations:
         return equations(
             a, b, T, self.about, weights, max_distance_mm=max_distance_mm, max_normal_rad=self.options.max_normal_rad,
-            stride=stride, tile_px=max(2, self.tile_px // b.spacing_px), residuals=False, threads=self.threads,
+            stride=1, tile_px=max(2, self.tile_px // b.spacing_px), residuals=False, threads=self.threads,
         )  # fmt: skip
 
     def weights(self, a: JointSide, b: JointSide, T: Array, max_distance_mm: float, last: bool) -> Weights | None:
@@ -136,15 +135,18 @@ class _Problem:
         """
         spacing = b.spacing_px
         stride, enough = -(-_WEIGHING_STRIDE // spacing), MIN_POINTS // spacing**2
-        plain = self.at(a, b, T, None, max_distance_mm, stride)
-        if plain.points * stride**2 < enough:
+        some = samples(
+            a, b, T, max_distance_mm=max_distance_mm, max_normal_rad=self.options.max_normal_rad, stride=stride,
+            tile_px=max(2, self.tile_px // spacing), threads=self.threads,
+        )  # fmt: skip
+        if some.points * stride**2 < enough:
             return None
         noise_passed = (a.noise_passed + b.noise_passed) / 2
-        weights = Weights.from_residuals(plain, noise_passed)
+        weights = Weights.from_residuals(some.sums(), noise_passed)
         if not last:
             return weights
-        found = shading(self.at(a, b, T, weights, max_distance_mm, stride))
-        rest = self.at(a, b, T, Weights.alike(b, plain.tile).shaded(found), max_distance_mm, stride)
+        found = shading(some.sums(weights))
+        rest = some.sums(Weights.alike(b, some.tile).shaded(found))
         return Weights.from_residuals(rest, noise_passed).shaded(found)
 
     def solve(self, a: JointSide, b: JointSide, T: Array, max_distance_mm: float) -> Refined | None:
