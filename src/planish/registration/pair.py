@@ -21,7 +21,6 @@ from planish.registration.refine.covariance import noise_covariance, observabili
 from planish.registration.refine.fit_statistics import FitStatistics, fit_statistics
 from planish.registration.refine.kept_out import Agreement, agreement
 from planish.registration.refine.overlap import overlap_axes, overlap_extent
-from planish.registration.refine.sides import held_out_pixels
 from planish.registration.refine.solve import Refined, refine
 from planish.registration.result import Direction, PairResult
 from planish.registration.tiles import ground_sample_distance, tile_size_px
@@ -216,7 +215,8 @@ def kept_out_agreement(
     """Return what the tiles of a that took no part in a fit say about it; arguments as in `refine_pair`."""
     options = options or PairOptions()
     finest = options.refine.spacing_px[-1]
-    only = leave_out({finest: a.sides[finest].without(~held_out_pixels(a.measurement))}, without[0])
+    every, fitted = a.sides[finest], a.fit_sides[finest]
+    only = leave_out({finest: replace(every, use=every.use - fitted.use)}, without[0])
     side_b = leave_out({finest: b.sides[finest]}, without[1])[finest]
     tile = tile_size_px(b.measurement)
     return agreement(only[finest], side_b, refined, covariance, tile, options.refine, thread_count(threads))

@@ -85,8 +85,8 @@ def samples(
 ) -> Samples:
     """Return the residuals at every n-th pixel of b against a."""
     tile = tile_of(stride, tile_px)
+    options = max_distance_mm, float(np.cos(max_normal_rad)), stride, tile
     sizes, textures, counts = _core.joint_samples(
-        a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), (max_distance_mm, float(np.cos(max_normal_rad)), stride, tile),
-        threads,
-    )  # fmt: skip
+        a.maps, a.camera, b.maps, np.ascontiguousarray(T_a_b), options, threads
+    )
     return Samples(tile, sizes.reshape(*sizes.shape[:2], 2, 2), np.ascontiguousarray(textures.T), counts[0])

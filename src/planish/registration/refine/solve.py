@@ -158,8 +158,8 @@ class _Problem:
             # Weights follow the fit for the first steps, then stay, so that the cost is one function.
             if iteration < weighings:
                 weights = self.weights(a, b, T, max_distance_mm, last)
-                if weights is None:
-                    return None
+            if weights is None:
+                return None
             result = self.at(a, b, T, weights, max_distance_mm)
             result = without_shading(result) if last else result
             xi, sigmas = _step(result, self.lever_mm, self.options.max_sigma_mm, afar=not last)
