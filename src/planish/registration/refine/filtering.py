@@ -9,6 +9,7 @@ from scipy import fft
 
 from planish.geometry import Array
 from planish.measurement import Map
+from planish.registration.refine.bending import filter_reach
 from planish.registration.refine.spectrum import texture_spectrum
 
 
@@ -24,11 +25,14 @@ class FilteredTexture:
         Variance of what the filter leaves of the noise, over its stated variance.
     pixels_per_value : float
         Pixels per independent value: that of a correlation with a texture of the same spectrum, by Bartlett's formula.
+    reach : ndarray (2, 2, 2, 2)
+        How far the filter and the low-pass before it reach (`filter_reach`) [px^2].
     """
 
     value: Map
     noise_passed: float
     pixels_per_value: float
+    reach: Array
 
 
 def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, Map] | None = None) -> FilteredTexture:
@@ -54,7 +58,7 @@ def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, 
     shape = value.shape[0], value.shape[1]
     size = fft.next_fast_len(shape[0], True), fft.next_fast_len(shape[1], True)
     if not known.any():
-        return FilteredTexture(np.zeros(shape, np.float32), 1.0, 1.0)
+        return FilteredTexture(np.zeros(shape, np.float32), 1.0, 1.0, np.zeros((2, 2, 2, 2)))
     with np.errstate(invalid="ignore", divide="ignore"):
         score = np.where(known, value / sigma, np.float32(0))
     spectrum = texture_spectrum(score, known, size, apart)
@@ -63,9 +67,8 @@ def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, 
     # 2 S / (N (2 S + N)): where the noise is as stated, in units of the weight that strong textures have.
     S, N = spectrum.signal, spectrum.noise
     weight = 2 * S / (N * (2 * S + N)) * (1 - shading) ** 2
-    filtered = fft.irfft2(
-        fft.rfft2(np.where(known, value, np.float32(0)), size) * np.sqrt(weight).astype(np.float32), size
-    )
+    response = np.sqrt(weight).astype(np.float32)
+    filtered = fft.irfft2(fft.rfft2(np.where(known, value, np.float32(0)), size) * response, size)
     # Of the real spectrum's columns all but the first stand for two.
     left = weight * N
     passed = 2 * left.sum() - left[:, 0].sum()
@@ -74,6 +77,8 @@ def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, 
         filtered[: shape[0], : shape[1]].astype(np.float32),
         max(float(passed) / (size[0] * size[1]), least),
         _pixels_per_value((S + N) * weight, size),
+        # The contrast is what the low-pass of the shading left, taken twice.
+        filter_reach(response * (1 - shading) ** 2, S * weight, size, shading_px),
     )
 
 

@@ -13,6 +13,7 @@ from planish import _core
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import thread_count
+from planish.registration.refine.bending import displacement, moved_back
 from planish.registration.refine.blur import height_by_blur
 from planish.registration.refine.filtering import filter_texture
 from planish.registration.refine.spectrum import seen_apart
@@ -111,13 +112,14 @@ def joint_sides(
     known = np.isfinite(value)
     inside = known & _inside(measurement.valid, known, shading_px)
     filtered = filter_texture(value, sigma, shading_px, seen_apart(measurement, inside, sigma, shading_px))
+    fine = moved_back(filtered.value, displacement(surface.tangents_sensor, filtered.reach))
+    by_blur, by_spline = height_by_blur(measurement, surface)
     # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
-    points = np.ascontiguousarray(measurement.points_sensor, np.float32)
-    by_blur = height_by_blur(measurement, surface)
+    points = np.ascontiguousarray(measurement.points_sensor - by_spline[..., None] * surface.normals_sensor, np.float32)
     sides = {}
     for n in spacings_px:
         # Coarse levels must lead here from afar: there the texture is as it is, its slow changes the strongest.
-        level = filtered.value if n == 1 else smooth_texture(value, known, _BEFORE_THINNING * n)
+        level = fine if n == 1 else smooth_texture(value, known, _BEFORE_THINNING * n)
         level = np.where(inside, level, np.float32(np.nan))
         maps = (points, measurement.sigma_mm, surface.normals_sensor, surface.tangents_sensor, by_blur, level, sigma)
         values = _core.joint_values(
