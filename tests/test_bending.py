@@ -47,7 +47,7 @@ def test_a_filter_that_passes_everything_moves_nothing():
 
 
 def tangents_of_a_pipe():
-    """Tangents (H, W, 6) of a pipe along v that the image's middle column sees edge on by 45 degrees, and its slopes."""
+    """Tangents (H, W, 6) of a pipe along v whose middle column is seen under 45 degrees, and its slopes."""
     u = np.arange(SIZE[1])[None].repeat(SIZE[0], 0)
     sine = np.sin(np.pi / 4) + (u - SIZE[1] / 2) * PIXEL_MM / RADIUS_MM
     cosine = np.sqrt(1 - sine**2)

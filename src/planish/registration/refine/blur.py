@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
-from planish.registration.surface import Surface
+from planish.registration.surface import Surface, SurfaceOptions
 from planish.rig import Camera
 
 Mask = NDArray[np.bool_]
@@ -26,6 +26,8 @@ Index = NDArray[np.intp]
 #: Variance of the cubic B-spline through which the correspondence reads the other camera's positions, along each axis
 #: [px^2]: that of the sum of four uniform distributions of 1 px.
 _SPLINE = 4 / 12
+#: Slope against another camera's rays from which on it does not see one surface: that of `SurfaceOptions`.
+_MAX_SLOPE = SurfaceOptions().max_slope
 #: Edge of the squares of pixels whose means the fits see: a mean over a square adds a constant to a quadratic field.
 _BIN_PX = 2
 #: Scale of the local fits (standard deviation of the window), and distance of the places where they are made [px].
@@ -47,7 +49,8 @@ def height_by_blur(measurement: Measurement, surface: Surface) -> tuple[Map, Map
 
     First per 1 px^2 of the variance of the cameras' blur, which is the same in both, and small against what bends; then
     by the spline that reads the other camera's positions between its pixels. Points by fringes or Gray code; 0 where
-    unknown.
+    unknown. By the spline NaN where the other camera sees the surface so obliquely that its pixels, and those that the
+    spline needs beside them, see the limb: points are off there by more than their noise and any derivative tell.
 
     Notes
     -----
@@ -76,6 +79,7 @@ def height_by_blur(measurement: Measurement, surface: Surface) -> tuple[Map, Map
             per_mm = places.motion(rig.cameras[other])
             slope = by_b[0] * per_mm[:, 0] + by_b[1] * per_mm[:, 1]
             by_blur, by_spline = (places.spread(x / slope, enough) for x in (shift, -_SPLINE * laplacian / 2))
+        by_spline[places.near(places.grazed_by(rig.cameras[other]))] = np.nan
         alone = known & ~seen
     if rig.projector is not None and measurement.projector_weights is not None and alone.any():
         # Neighbours that the other camera sees too tell how light and positions bend.
@@ -142,13 +146,28 @@ class _Places:
         points, rays = self._rays()
         return np.asarray(device.project(points + rays) - device.project(points))
 
+    def grazed_by(self, device: Camera) -> Mask:
+        """Which places (n) a device sees too obliquely."""
+        points, _ = self._rays()
+        rays = points - device.center_sensor
+        rays /= np.sqrt(np.einsum("ni,ni->n", rays, rays))[:, None]
+        cosines = -np.einsum("ni,ni->n", rays, self.normals[self._pixels])
+        return np.asarray(cosines < 1 / np.hypot(1, _MAX_SLOPE))
+
+    def near(self, chosen: Mask) -> Mask:
+        """Pixels (H, W) within `known` that are nearer to the chosen places (n) than to others."""
+        return self.known & (self._all_over(chosen.astype(float), np.ones_like(chosen)) > 0.5)
+
     def spread(self, along_ray_mm: Array, use: Mask) -> Map:
         """Displacement along the normals (H, W), from those of the places (n) along their rays; 0 where unknown."""
         height = along_ray_mm * np.einsum("ni,ni->n", self._rays()[1], self.normals[self._pixels])
+        return np.where(self.known, self._all_over(height, use), np.float32(0))
+
+    def _all_over(self, values: Array, use: Mask) -> Map:
         step = _STEP_PX // _BIN_PX
         sparse = np.full(self.whole[::step, ::step].shape, np.nan, np.float32)
-        sparse[self.rows // step, self.columns // step] = np.where(use & np.isfinite(height), height, np.nan)
-        return np.where(self.known, _spread(sparse, self.known.shape), np.float32(0))
+        sparse[self.rows // step, self.columns // step] = np.where(use & np.isfinite(values), values, np.nan)
+        return _spread(sparse, self.known.shape)
 
 
 def _means(field: Map) -> Map:
