@@ -6,7 +6,10 @@
 - blank: plates without any texture, pixel response 0.5 %, 10 dust spots per camera, moved by at least 50 mm
 - background: a static textured plane on about 30 % of the pixels, behind a textured plate and behind a blank one
 - print: a random pattern that repeats every 40 mm on a blank plate; overlaps of 30 to 70 %
-- board: three real views of a chessboard (shared/data/procam_board), whose corners say how it moved
+- pattern: simulated chessboards and rasters of dots of 5, 20 and 40 mm on a blank plate, everywhere or with their ends
+  in view
+- board: three real views of a chessboard (shared/data/procam_board), whose corners say how it moved; by the calibration
+  that its author gives, which contradicts itself by some pixels, and by planish's of the same board
 """
 
 from __future__ import annotations
@@ -28,6 +31,9 @@ from planish.geometry import Array, fit_rigid, invert, transform_points
 from planish.measurement import Measurement
 from planish.pipeline import measure, prepare_run
 from planish.registration.pair import register_pair
+from planish.rig import Rig
+from planish.sensing.calibrate.boards.observe import observe_boards
+from planish.sensing.calibrate.calibrate import CalibrateOptions, calibrate
 from planish.sensing.capture.manifest import Capture
 from planish.simulation.printed import raster_print
 from planish.simulation.scenes import Background, Scene, make_scene, place_sensor
@@ -35,6 +41,7 @@ from planish.simulation.surfaces import Plate
 from planish.simulation.texture import BLANK
 from render_tables import ROOT, save_table
 from shared.cells import Rows, cell_arguments, read_rows, run_cells
+from shared.patterns import Pattern, pattern_print
 from shared.rendered import measure_scene
 
 FOLDER = "not-texture"
@@ -44,6 +51,10 @@ BLANK_CELLS, BLANK_CAPTURES, APART_MM, DUST = 4, 11, 50.0, 10
 SMALL_PLATE, BACKGROUND_CELLS = (190.0, 140.0), 3
 #: The print: period, cell [mm], range of its reflectance.
 PERIOD_MM, CELL_MM, REFLECTANCE, PRINT_CELLS = 40.0, 2.0, (0.7, 1.0), 3
+#: Columns and rows of regular patterns with an end, by pitch [mm]: no turn leads such a chessboard onto itself. How far
+#: from the middle captures stand [mm]: with the ends in view, and without.
+PATTERNS = {5: (30, 21), 20: (9, 6), 40: (5, 4)}
+ENDS_WITHIN_MM, ENDLESS_WITHIN_MM = 40.0, 110.0
 #: The identity moves a point by less than this where the background is taken for the part [mm].
 STILL_MM = 1.0
 BOARD, CORNERS = ROOT / "tests" / "real" / "procam_board", (9, 7)
@@ -102,6 +113,17 @@ def run_print(number: int) -> Rows:
     return _pairs("repeating print", scene.seen_from(places))
 
 
+def run_pattern(pattern: Pattern, pitch_mm: int, endless: bool) -> Rows:
+    """Return the records of all pairs of three captures of a regular pattern."""
+    rng = np.random.default_rng([pitch_mm, 34])
+    printed = pattern_print(pattern, pitch_mm, *PATTERNS[pitch_mm], endless)
+    scene = replace(_half(make_scene("blank", 600 + pitch_mm, scale=0.5)), printed=printed)
+    reach = ENDLESS_WITHIN_MM if endless else ENDS_WITHIN_MM
+    rolls = rng.uniform(0, 360, 3)
+    places = [place_sensor(scene.surface, *rng.uniform(-reach, reach, 2), roll, _tilt(rng)) for roll in rolls]
+    return _pairs(f"{pattern}, {'endless' if endless else 'its ends in view'}", scene.seen_from(places))
+
+
 def _pairs(kind: str, scene: Scene) -> Rows:
     measured = [measure_scene(scene, k) for k in range(len(scene.names))]
     T = {m.name: T for m, T in zip(measured, scene.T_object_sensor, strict=True)}
@@ -142,16 +164,19 @@ def _in_units(length: float | None, unit: float) -> float | None:
     return None if length is None else round(length / unit, 5)
 
 
-def run_board() -> Rows:
+def run_board(calibrated: bool) -> Rows:
     """Return the records of the pairs of three real views of a chessboard; lengths as if its square were 20 mm."""
+    rig = _calibrated() if calibrated else None
     captures = [Capture.load(BOARD / f"capture_{k}.json", DATA) for k in range(3)]
     measured, corners = [], {}
     for k, capture in enumerate(captures):
-        m = replace(measure(capture, threads=1), name=f"board{k}")
+        m = replace(measure(capture, rig=rig, threads=1), name=f"board{k}")
         white = capture.read_image("A", 40)
         found, pixels = cv2.findChessboardCorners(white, CORNERS)
         assert found, "the real chessboard is seen whole"
         pixels = pixels.reshape(-1, 2)
+        # Half a turn leads this board onto itself, and OpenCV begins at either end; no view is turned by a quarter.
+        pixels = pixels if pixels[-1, 1] > pixels[0, 1] else pixels[::-1]
         board = np.zeros(white.shape, np.uint8)
         cv2.fillConvexPoly(board, cv2.convexHull(pixels.round().astype(np.int32)), 1)
         corners[m.name] = _on_plane(m, board > 0, pixels)
@@ -161,7 +186,13 @@ def run_board() -> Rows:
         return fit_rigid(corners[a], corners[b])
 
     # Between the corners the board is known to be; 63 points say enough about a transform.
-    return _register("chessboard", measured, truth, lambda name, _: corners[name], unit=75.0 / 20.0)
+    kind = f"real chessboard, {'calibrated by planish' if calibrated else 'by its author'}"
+    return _register(kind, measured, truth, lambda name, _: corners[name], unit=75.0 / 20.0)
+
+
+def _calibrated() -> Rig:
+    """Return the rig that planish finds by the same board in five views; the paper is not flat."""
+    return calibrate(observe_boards(BOARD / "boards.json", images_dir=DATA), CalibrateOptions(flatness=True)).rig
 
 
 def _on_plane(m: Measurement, board: np.ndarray, pixels: Array) -> Array:
@@ -216,8 +247,19 @@ def main() -> None:
         }
         run(both, run_background)
         run({f"print_{n}": (n,) for n in range(PRINT_CELLS)}, run_print)
+        patterns: tuple[Pattern, ...] = ("chessboard", "dots")
+        endless = {True: "endless", False: "ends"}
+        run(
+            {
+                f"{pattern}_{pitch}_{endless[e]}": (pattern, pitch, e)
+                for pattern in patterns
+                for pitch in PATTERNS
+                for e in endless
+            },
+            run_pattern,
+        )
         if DATA.is_dir():
-            run({"board": ()}, run_board)
+            run({"board": (False,), "board_calibrated": (True,)}, run_board)
         else:
             print(f"left out, for the real captures are not here: {DATA}", file=sys.stderr)
     save_tables()

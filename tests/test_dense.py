@@ -8,15 +8,20 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+import sheets
+import synthetic
 from given_surface import GivenSurface
 from planish.geometry import compose, exp_so3, invert, transform_points
 from planish.registration.consensus import Search, find_consensus
 from planish.registration.dense.develop import Development
 from planish.registration.dense.match import DenseOptions, DenseTexture, match_windows
 from planish.registration.dense.spectrum import analyse, plan_rotations
-from planish.registration.pair import keypoints_may_fail
+from planish.registration.options import PairOptions
+from planish.registration.pair import keypoints_may_fail, register_pair
+from planish.registration.prepared import prepare
 from planish.registration.texture.resample import TextureImage
 from planish.registration.verdict.false_alarms import log10_false_alarms
+from planish.registration.verdict.judge import judge_coarse
 
 PITCH = 1.0
 SIZE = (230, 260)
@@ -179,3 +184,35 @@ def test_whole_textures_are_asked_where_keypoints_may_fail(signal_to_noise, dire
     texture = SimpleNamespace(spectrum=SimpleNamespace(directional=directed))
     strong, side = (SimpleNamespace(signal_to_noise=s, dense=(texture,)) for s in (100.0, signal_to_noise))
     assert keypoints_may_fail(strong, side, DenseOptions()) == keypoints_may_fail(side, strong, DenseOptions()) == asked
+
+
+@pytest.fixture(scope="module")
+def strangers():
+    """Two sheets with weak textures that have nothing to do with each other."""
+    return tuple(
+        prepare(
+            synthetic.measurement(T, sheets.grain(0.002, seed), name=name, scale=sheets.SCALE, seed=seed),
+            sheets.PITCH_MM,
+        )
+        for seed, (name, T) in enumerate((("a", np.eye(4)), ("b", sheets.T_TRUE)), start=60)
+    )  # fmt: skip
+
+
+def test_a_pair_that_is_tried_twice_has_twice_the_false_alarms(strangers, monkeypatch):
+    judged = []
+
+    def watched(*arguments):
+        judged.append(judge_coarse(*arguments))
+        asked.append(arguments[4])
+        return judged[-1]
+
+    asked = []
+    monkeypatch.setattr("planish.registration.pair.judge_coarse", watched)
+    result = register_pair(*strangers, pairs_in_run=10)
+    assert asked == [10, 20]
+    assert result.status == "refused"
+    first, second = (verdict.log10_false_alarms for verdict in judged)
+    assert result.log10_false_alarms == pytest.approx(min(first + np.log10(2), second))
+    assert ("second try" in result.reason) == (first + np.log10(2) <= second)
+    once = PairOptions(dense=DenseOptions(enabled=False))
+    assert register_pair(*strangers, once, 10).log10_false_alarms == pytest.approx(first)

@@ -12,6 +12,7 @@ import pytest
 import matched
 import sheets
 from planish.geometry import exp_se3, transform_points
+from planish.measurement import Finding
 from planish.registration.consensus import Candidate, CoarseResult, Search, find_consensus
 from planish.registration.pair import refine_pair, residual_statistics
 from planish.registration.prepared import prepare
@@ -30,6 +31,7 @@ from planish.registration.verdict.false_alarms import (
 from planish.registration.verdict.geometry import Sight, line_of_sight
 from planish.registration.verdict.hypothesis import Drift
 from planish.registration.verdict.judge import VerdictOptions, judge_coarse, judge_refined
+from planish.registration.verdict.reasons import already_found
 from planish.registration.verdict.still import geometry_stands_still, same_sensor, standing_still
 from planish.registration.verdict.together import Together
 from planish.registration.verdict.verify import Windows
@@ -93,6 +95,13 @@ def test_a_consensus_far_above_chance_is_accepted():
     assert verdict.judgement.status == "accepted"
     assert verdict.log10_false_alarms < -20
     assert "matched places" in verdict.judgement.reason
+
+
+def test_a_refusal_says_what_measuring_warned_of():
+    said = [Finding("movement", 0.3, 0.1, "px", "", "it moved"), Finding("coverage", 80.0, None, "%", "")]
+    a, b = (replace(sheets.quiet(side), findings=tuple(said[:k])) for side, k in (("a", 2), ("b", 0)))
+    assert already_found(a, b) == "; but mend first what measuring found in a: it moved"
+    assert already_found(b, b) == ""
 
 
 def test_random_matches_are_refused_as_chance():

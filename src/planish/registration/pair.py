@@ -29,13 +29,21 @@ from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.geometry import line_of_sight
 from planish.registration.verdict.hypothesis import Hypothesis
 from planish.registration.verdict.judge import Verdict, judge_coarse, judge_refined
+from planish.registration.verdict.reasons import already_found
 
 
 def register_pair(
     a: Prepared, b: Prepared, options: PairOptions | None = None, pairs_in_run: int = 1, threads: int | None = None
 ) -> PairResult:
     """Return the judged transform of b in a; "cannot be registered" is a result with its reason."""
-    options = options or PairOptions()
+    result = _tried(a, b, options or PairOptions(), pairs_in_run, threads)
+    if result.status != "refused":
+        return result
+    return replace(result, reason=result.reason + already_found(a.measurement, b.measurement))
+
+
+def _tried(a: Prepared, b: Prepared, options: PairOptions, pairs_in_run: int, threads: int | None) -> PairResult:
+    """Return the result by keypoints or, where these fail, by whole textures."""
     matches = match(_patch_side(a), _patch_side(b), options.match, threads)
     coarse = find_consensus(matches, options.consensus, threads, search=_patch_search(a, options.match))
     result = _judged(a, b, matches, coarse, options, pairs_in_run, threads)
@@ -44,10 +52,28 @@ def register_pair(
     windows = match_windows(a.dense, b.dense, options.consensus.tolerance_mm, options.dense, threads)
     search = Search(np.inf, windows.chance, windows.tried)
     coarse = find_consensus(windows.matches, options.consensus, threads, search=search)
-    second = _judged(a, b, windows.matches, coarse, options, pairs_in_run, threads)
+    # A pair that is tried twice has twice the chance of a false alarm.
+    second = _judged(a, b, windows.matches, coarse, options, _TRIES * pairs_in_run, threads)
+    first = _tried_again(result)
     # Of two refusals the one that says more.
-    better = second.log10_false_alarms < result.log10_false_alarms
-    return second if second.status != "refused" or better else result
+    better = second.log10_false_alarms < first.log10_false_alarms
+    return second if second.status != "refused" or better else first
+
+
+#: By its keypoints, and by whole textures where these fail.
+_TRIES = 2
+
+
+def _tried_again(result: PairResult) -> PairResult:
+    """Return a refusal by keypoints with the false alarms of both tries."""
+    more = float(np.log10(_TRIES))
+    other = result.runner_up
+    return replace(
+        result,
+        reason=result.reason + "; correlating the whole textures, which counts as a second try, said no more",
+        log10_false_alarms=result.log10_false_alarms + more,
+        runner_up=other and replace(other, log10_false_alarms=other.log10_false_alarms + more),
+    )
 
 
 def _judged(
@@ -211,7 +237,8 @@ def residual_statistics(
     side_a, side_b = (
         leave_out({finest: p.sides[finest]}, mask)[finest] for p, mask in zip((a, b), without, strict=True)
     )
-    return fit_statistics(side_a, side_b, refined, options.refine, thread_count(threads))
+    shading_px = options.photometric.shading_mm / ground_sample_distance(b.measurement)
+    return fit_statistics(side_a, side_b, refined, options.refine, thread_count(threads), shading_px)
 
 
 def pair_shifts(

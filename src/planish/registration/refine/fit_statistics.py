@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planish.geometry import Array
 from planish.measurement import Map
+from planish.registration.refine.local_correlation import local_correlation_sigma
 from planish.registration.refine.residuals import PER_MEAN_ABSOLUTE, Weights, around, equations, tile_of
 from planish.registration.refine.sides import JointSide
 from planish.registration.refine.solve import Refined, RefineOptions
@@ -20,6 +21,8 @@ from planish.registration.refine.spectrum import MOST_NOISE
 
 #: Every n-th pixel along both axes tells how large the residuals are, and how large the noise that is expected.
 _STRIDE, _NOISE_STRIDE = 3, 12
+#: Whole textures that correlate by so many standard deviations need not be asked tile by tile.
+_CLEAR_SIGMA = 10.0
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,8 @@ class FitStatistics:
     sigma : float
         Standard deviation of `common_texture` by the number of independent values alone.
     correlation_sigma : float
-        Correlation of the textures in standard deviations of that of unrelated ones.
+        Correlation of the textures in standard deviations of that of unrelated ones: of the whole or, where a highlight
+        rules that, tile by tile; the greater.
     """
 
     distance_scale: float
@@ -55,9 +59,16 @@ class FitStatistics:
 
 
 def fit_statistics(
-    a: JointSide, b: JointSide, refined: Refined, options: RefineOptions | None = None, threads: int = 1
+    a: JointSide,
+    b: JointSide,
+    refined: Refined,
+    options: RefineOptions | None = None,
+    threads: int = 1,
+    shading_px: float | None = None,
 ) -> FitStatistics:
     """Return what the residuals of a and b (last level, with the tiles kept out) say about a fit.
+
+    `shading_px` is the low-pass that took the shading from b; None = tiles are not asked whether they correlate.
 
     Surfaces count as far apart as on any level: the last one would leave out what contradicts it most.
 
@@ -84,6 +95,9 @@ def fit_statistics(
     both, common = four_means + rms**2, four_means - rms**2
     pixels_per_value = float(np.sqrt(a.pixels_per_value * b.pixels_per_value))
     values = max(e.texture_points * _STRIDE**2 / pixels_per_value, 1.0)
+    sigma = refined.equations.correlation * float(np.sqrt(refined.equations.texture_points / pixels_per_value))
+    if shading_px is not None and sigma < _CLEAR_SIGMA:
+        sigma = max(sigma, local_correlation_sigma(a, b, refined, shading_px, options, threads))
     return FitStatistics(
         scale,
         float(np.sqrt(max(scale**2 - 1, 0)) * sigma_mm),
@@ -91,7 +105,7 @@ def fit_statistics(
         _common(common, both - 2 * noise, number),
         _common(common, both - 2 * MOST_NOISE * noise, number),
         float(1 / np.sqrt(values)),
-        refined.equations.correlation * float(np.sqrt(refined.equations.texture_points / pixels_per_value)),
+        sigma,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from planish.measurement import Map, Measurement
 from planish.options import thread_count
 from planish.registration.surface import Surface
 from planish.registration.texture.charts import Chart, ChartOptions, plan_charts
+from planish.registration.texture.periods import Period, find_period
 from planish.registration.texture.unrolled import UnrolledSurface
 from planish.registration.tiles import ground_sample_distance
 
@@ -54,6 +56,11 @@ class TextureImage:
     mask: NDArray[np.bool_]
     source_px: Map = field(metadata={"unit": "px"})
     surface: UnrolledSurface
+
+    @cached_property
+    def period(self) -> Period | None:
+        """How the texture repeats in itself; None where it does not."""
+        return find_period(self.value, self.sigma, self.mask, self.pitch_mm)
 
     def points_at(self, row: NDArray[np.integer], column: NDArray[np.integer]) -> Array:
         """Return the points (N, 3) of the surface [mm] at pixels of the picture; NaN where there are none."""

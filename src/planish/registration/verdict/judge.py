@@ -21,9 +21,10 @@ from planish.registration.verdict import reasons, still
 from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.geometry import Sight, line_of_sight
 from planish.registration.verdict.hypothesis import Drift, Hypothesis, apart, as_hypothesis, weigh
+from planish.registration.verdict.lattice import as_good_a_period_off, common_period, positions
 from planish.registration.verdict.repeats import rival_transforms
 from planish.registration.verdict.rivals import Rivalry, alike, compare
-from planish.registration.verdict.window_sizes import VerifyOptions, for_areas
+from planish.registration.verdict.window_sizes import VerifyOptions, area_mm2, for_areas
 
 
 class VerdictOptions(Options):
@@ -120,7 +121,8 @@ def judge_coarse(
     unmoving = [h for h in significant if case.stands_still(h)]
     moving = [h for h in significant if not case.stands_still(h)]
     if not moving:
-        judgement = Judgement("accepted", f"nothing moved: {reasons.support(best)} agree at the same pixels")
+        nothing_moved = f"nothing moved: {reasons.support(best)} agree at the same pixels"
+        judgement = _repeats(case) or Judgement("accepted", nothing_moved)
         return Verdict(judgement, unmoving[0], case.alarms(unmoving[0]), unmoved=True)
     return _judge_moving(case, moving, unmoving)
 
@@ -193,8 +195,17 @@ def _box(pixels: Array) -> tuple[float, float, float, float]:
     return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
+def _repeats(case: _Case) -> Judgement | None:
+    """Return that no motion can stand out, where both textures repeat in themselves; else None."""
+    period = common_period(case.a.images, case.b.images)
+    if period is None:
+        return None
+    smaller = min(case.a.images, case.b.images, key=area_mm2)
+    return Judgement("ambiguous", reasons.repeats_in_itself(period, positions(period, smaller)))
+
+
 def _no_consensus(case: _Case, coarse: CoarseResult) -> Judgement:
-    return Judgement(
+    return _repeats(case) or Judgement(
         "refused",
         f"no consensus: no three of {coarse.places} matched places agree on a transform; "
         + reasons.why_nothing(case.a.images, case.b.images, case.options.verify),
@@ -202,7 +213,7 @@ def _no_consensus(case: _Case, coarse: CoarseResult) -> Judgement:
 
 
 def _not_significant(case: _Case, best: Hypothesis, coarse: CoarseResult) -> Judgement:
-    return Judgement(
+    return _repeats(case) or Judgement(
         "refused",
         f"consensus not significant: {best.places} of {coarse.places} matched places and {best.agreeing} of "
         f"{len(best.windows)} windows agree, which chance explains (10^{case.alarms(best):.1f} expected in this run, "
@@ -223,9 +234,15 @@ def _judge_moving(case: _Case, moving: list[Hypothesis], unmoving: list[Hypothes
         if rivalry.relation == "repeats":
             reason = reasons.repeats(first, verdict.runner_up, rivalry.shared)
             return replace(verdict, judgement=Judgement("ambiguous", reason))
+        if (repeated := _repeats(case)) is not None:
+            # Places of a pattern that each of the two explains, and no motions of their own.
+            return replace(verdict, judgement=repeated)
         reason = reasons.two_motions(first, rival, verdict.runner_up)
         motions = tuple(case.motion(h) for h in (first, rival, *unmoving))
         return replace(verdict, judgement=Judgement("ambiguous", reason), motions=motions)
+    by_period = as_good_a_period_off(case.a, case.b, first, options.verify, options.ambiguous_share)
+    if by_period is not None and (repeated := _repeats(case)) is not None:
+        return replace(verdict, judgement=repeated, runner_up=case.runner_up(first, [by_period]))
     if unmoving:
         verdict = _beside_what_stands_still(case, verdict, first, unmoving[0])
     sight = line_of_sight(case.a.measurement, case.b.measurement, first.T_a_b, options.verify.gate_mm, verdict.without)

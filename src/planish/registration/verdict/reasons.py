@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from planish.measurement import Measurement
 from planish.registration.refine.fit_statistics import FitStatistics
 from planish.registration.refine.kept_out import Agreement
 from planish.registration.result import Direction, RunnerUp
+from planish.registration.texture.periods import Period
 from planish.registration.texture.resample import TextureImage
 from planish.registration.texture.strength import texture_strength
 from planish.registration.verdict.hypothesis import Drift, Hypothesis
@@ -39,6 +41,21 @@ def why_nothing(images_a: tuple[TextureImage, ...], images_b: tuple[TextureImage
     return (
         f"the texture is too weak ({figures}) to tell whether they overlap: take more or brighter images, or move "
         "nearer"
+    )
+
+
+def already_found(a: Measurement, b: Measurement) -> str:
+    """Return what measuring warned of, as the end of a refusal: points that contradict themselves fit nowhere."""
+    warnings = [f"{m.name}: {finding.warning}" for m in (a, b) for finding in m.findings if finding.warning]
+    return f"; but mend first what measuring found in {'; in '.join(warnings)}" if warnings else ""
+
+
+def repeats_in_itself(period: Period, positions: int) -> str:
+    """Return why a pattern leaves the pair ambiguous though no motion stands out."""
+    return (
+        f"the texture of both repeats every {period.period_mm:.1f} mm, so that some {positions} positions fit alike "
+        "and none stands out: add something unique to the overlap (a mark, a rim), or exclude the pattern by a mask or "
+        "volume"
     )
 
 

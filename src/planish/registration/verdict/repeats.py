@@ -57,7 +57,7 @@ def rival_transforms(a: Side, b: Side, T_a_b: Array, apart_mm: float, gate_mm: f
         # Of a lattice of repetitions the nearest tells the period; of turned ones the best fit counts.
         peaks.sort(key=lambda peak: float(np.hypot(*peak[1])) if quarter == 0 else -peak[0])
         for _, shift in peaks[:_MAX_RIVALS_PER_TURN]:
-            motion = _rigid(chart, turn + np.column_stack([np.zeros((2, 2)), np.array(shift) * step]), gate_mm)
+            motion = as_rigid_motion(chart, turn + np.column_stack([np.zeros((2, 2)), np.array(shift) * step]), gate_mm)
             if motion is not None:
                 chosen.append(motion @ T_a_b)
     return chosen
@@ -112,8 +112,10 @@ def _taken_out(surface: Map, row: int, column: int, reach: int) -> float:
     return height
 
 
-def _rigid(chart: Aligned, A: Array, gate_mm: float) -> Array | None:
-    """The rigid motion (4, 4) of a's surface that moves the common region as A moves its picture, if there is one."""
+def as_rigid_motion(chart: Aligned, A: Array, gate_mm: float) -> Array | None:
+    """Return the rigid motion (4, 4) of a's surface that moves the common region as the affine map A (2, 3) moves its
+    picture, or None where none does within `gate_mm`.
+    """
     rows, columns = np.nonzero(chart.common)
     chosen = np.linspace(0, len(rows) - 1, min(len(rows), _PLACES)).astype(int)
     rows, columns = rows[chosen], columns[chosen]
