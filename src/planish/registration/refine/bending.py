@@ -18,7 +18,7 @@ _EMPTY = 1e-3
 #: Samples per standard deviation of what is averaged over frequencies.
 _SAMPLES = 4
 #: Edge of the squares of pixels over which the surface's tangents are averaged before they are compared [px].
-_SQUARE_PX = 8
+_SQUARE_PX, _STRIDE = 8, 2
 #: Squares of which less than this share is known say nothing.
 _LEAST_KNOWN = 0.3
 #: Derivative of the sixth order by pixels.
@@ -90,6 +90,8 @@ def displacement(tangents: Map, reach: Array) -> Map:
     sec. 4-3).
     """
     height, width = tangents.shape[:2]
+    # They are of fits over several pixels: every second one holds all that they say.
+    tangents = tangents[::_STRIDE, ::_STRIDE]
     known = np.isfinite(tangents[..., 2])
     share = _smooth(known.astype(np.float32))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -134,6 +136,6 @@ def _squares(image: Map, step: int) -> Map:
 
 def _smooth(image: Map) -> Map:
     """Means over squares of pixels, and their neighbours."""
-    height, width = (-(-n // _SQUARE_PX) for n in image.shape)
+    height, width = (-(-n * _STRIDE // _SQUARE_PX) for n in image.shape)
     small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(small, (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT)
