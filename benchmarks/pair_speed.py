@@ -27,7 +27,7 @@ from planish.registration.keypoints.detect import detect_keypoints
 from planish.registration.match.matching import match
 from planish.registration.match.patches import PatchSide
 from planish.registration.pair import register_pair
-from planish.registration.prepared import prepare
+from planish.registration.prepared import draw_on_surface, prepare
 from planish.registration.scales import common_gsd, common_pitch, length_factor
 from planish.registration.surface import fit_surface
 from planish.registration.texture.photometric import local_contrast
@@ -95,11 +95,7 @@ def main() -> None:
     matching_s, matches = timed(lambda: match(*sides, options.match, 1), runs, process_time)
     consensus_s, _ = timed(lambda: find_consensus(matches, options.consensus, 1), runs, process_time)
 
-    def texture_on_two() -> None:
-        found = local_contrast(a, options.photometric, surface, threads=2)
-        texture_images(a, surface, found, pitch, options.charts, 2)
-
-    texture_wall_s, _ = timed(texture_on_two, runs)
+    texture_wall_s, _ = timed(lambda: draw_on_surface(a, surface, pitch, options, 2), runs)
     matching_wall_s, _ = timed(lambda: find_consensus(match(*sides, options.match, 2), options.consensus, 2), runs)
     pair_s, result = timed(lambda: register_pair(first, second, options, 1, 1), runs, process_time)
     matcher = cv2.BFMatcher(cv2.NORM_L2)

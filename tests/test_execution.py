@@ -193,11 +193,29 @@ def test_workers_go_through_neighbouring_items_and_take_over_from_the_end_of_oth
     assert [waiting.take(1) for _ in range(4)] == [(3, 2), (4, 1), (5, 1), None]
 
 
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only its allocator can be told to give memory back")
-def test_what_lies_free_between_kept_arrays_goes_back_to_the_system():
-    def resident_mib():
-        return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+def resident_mib():
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
+
+ONLY_GLIBC = pytest.mark.skipif(
+    platform.libc_ver()[0] != "glibc", reason="only its allocator can be told what to do with freed memory"
+)
+
+
+@ONLY_GLIBC
+def test_threads_keep_freed_memory_for_what_comes_next_and_give_it_back():
+    size_mib = 200
+    with Threads(1):
+        before = resident_mib()
+        maps = [np.ones(2**20) for _ in range(size_mib // 8)]
+        assert len(maps) * 8 == size_mib
+        del maps
+        assert resident_mib() - before > 0.9 * size_mib
+    assert resident_mib() - before < 0.1 * size_mib
+
+
+@ONLY_GLIBC
+def test_what_lies_free_between_kept_arrays_goes_back_to_the_system():
     size_mib = 300
     # So small that they do not get pages of their own.
     arrays = [np.ones(2**14) for _ in range(size_mib * 8)]

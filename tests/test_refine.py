@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 import sheets
 from planish.geometry import difference, exp_se3, invert, perturb
@@ -15,7 +16,7 @@ from planish.registration.refine.covariance import noise_covariance
 from planish.registration.refine.information import information
 from planish.registration.refine.overlap import overlap_extent
 from planish.registration.refine.residuals import Weights, equations
-from planish.registration.refine.sides import joint_sides, smooth_texture
+from planish.registration.refine.sides import joint_sides, thinned_texture
 from planish.registration.refine.solve import RefineOptions, refine
 from planish.registration.surface import fit_surface
 from planish.registration.texture.photometric import PhotometricOptions, local_contrast
@@ -159,7 +160,7 @@ def smooth_side(m):
     """A measurement whose texture is smoothed by 5 px."""
     surface, (value, sigma) = fit_surface(m), local_contrast(m)
     side = joint_sides(m, surface, (value, sigma), (1,), PhotometricOptions().shading_mm)[1]
-    smooth = smooth_texture(value, np.isfinite(value), 5.0)
+    smooth, _ = thinned_texture(value, np.isfinite(value), 5.0, 1)
     values = side.values.copy()
     values[..., 7] = sigma**2
     values[..., 8:11] = sheets.texture_gradient(smooth, surface)
@@ -296,9 +297,28 @@ def test_smoothing_averages_known_pixels_only():
     known = np.ones(value.shape, bool)
     known[10:20, 10:20] = False
     value[~known] = 1e6
-    smooth = smooth_texture(value, known, 2.0)
+    smooth, slopes = thinned_texture(value, known, 2.0, 1)
     assert np.isnan(smooth[~known]).all()
     np.testing.assert_allclose(smooth[known], 3.0, rtol=1e-6)
+    np.testing.assert_allclose(slopes[known], 0.0, atol=1e-6)
+
+
+def test_every_nth_pixel_is_that_of_the_whole_resolution_and_its_slope_the_derivative():
+    rng = np.random.default_rng(1)
+    value = rng.standard_normal((83, 70)).astype(np.float32)
+    known = rng.random(value.shape) < 0.9
+    whole, _ = thinned_texture(value, known, 4.8, 1, 2)
+    thinned, slopes = thinned_texture(value, known, 4.8, 8, 2)
+    np.testing.assert_array_equal(thinned, whole[::8, ::8])
+    mean = gaussian_filter(np.where(known, value, 0).astype(float), 4.8, mode="constant") / gaussian_filter(
+        known.astype(float), 4.8, mode="constant"
+    )
+    inner = known[8:-8:8, 8:-8:8]
+    for axis, found in ((1, slopes[..., 0]), (0, slopes[..., 1])):
+        expected = np.gradient(mean, axis=axis)[::8, ::8]
+        # Differences of neighbours fall short by (1 / 4.8)^2 / 6.
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(found[1:-1, 1:-1][inner], expected[1:-1, 1:-1][inner], atol=0.02 * scale)
 
 
 def test_distances_pull_nowhere_along_a_noisy_plane():

@@ -8,12 +8,13 @@ from scipy.ndimage import gaussian_filter
 
 from planish.registration.refine.smoothing import smooth_map
 
-#: Share of an average's own standard deviation: weights that are constant over a quarter of the Gaussian's differ from
-#: it by 1 / (4 sqrt(24)) = 5 % along each axis (root mean square), and so do those that lie between samples.
-OF_NOISE = 0.15
+#: Share of an average's own standard deviation: linear interpolation over half of the Gaussian's errs in the middle by
+#: an eighth of the squared step times the average's second derivative, which is of noise sqrt(3) / 2 of it per squared
+#: deviation: 2.7 % along each axis.
+OF_NOISE = 0.05
 #: Linear interpolation errs by an eighth of the curvature times the squared step: of a step smoothed by a Gaussian at
-#: most 0.242 / (8 * 4^2) along each axis.
-OF_SMOOTH = 4e-3
+#: most 0.242 / (8 * 2^2) along each axis.
+OF_SMOOTH = 1.6e-2
 
 
 def averaged(image, rows_px, columns_px):

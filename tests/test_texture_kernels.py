@@ -134,8 +134,20 @@ def test_a_pattern_is_removed_as_defined(member):
     for contrast, share in captures:
         _core.add_to_pattern(contrast, share, FACTOR, total, weight, 2)
     maps = [drawn(30, BLOCKS, 1e-4, 1e-3), drawn(31, BLOCKS, 0, 1e-4), drawn(32, BLOCKS, 1, 2)]
-    args = (value, variance, own, total, weight, *maps, FACTOR)
-    both(_core.remove_pattern(*args, 2), reference.remove_pattern(*args))
+    rest, uncertain = 2 * value, variance.copy()
+    _core.remove_pattern(value, own, (total, weight, *maps), FACTOR, 0.5, rest, uncertain, 2)
+    cleaned, expected = reference.remove_pattern(value, variance, own, total, weight, *maps, FACTOR)
+    both((rest - value, 2 * uncertain - variance), (cleaned, expected))
+
+
+def test_a_contrast_is_split_into_bands_as_defined():
+    value, bell = with_gaps(drawn(1, SHAPE, -0.1, 0.1), 2), [0.1, 0.2, 0.4, 0.2, 0.1]
+    kernel = _core.split_bands(value, bell, FACTOR, 2)
+    both(kernel, reference.split_bands(value, bell, FACTOR))
+    assert all(
+        one.tobytes() == other.tobytes()
+        for one, other in zip(kernel, _core.split_bands(value, bell, FACTOR, 3), strict=True)
+    )
 
 
 def test_the_kernels_return_the_same_bytes_for_any_number_of_threads():

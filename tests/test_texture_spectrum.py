@@ -6,10 +6,10 @@ from scipy.ndimage import gaussian_filter
 
 import sheets
 from planish.registration.refine.filtering import filter_texture
-from planish.registration.refine.spectrum import seen_apart, texture_spectrum
+from planish.registration.refine.spectrum import Grid, seen_apart, texture_spectrum
 
 SIZE = (256, 240)
-KNOWN = np.ones(SIZE, bool)
+KNOWN, GRID = np.ones(SIZE, bool), Grid(SIZE)
 #: Spectra averaged over 0.004 cycles per pixel rest on some 12 frequencies here: 30 % each.
 SCATTER = 0.3
 
@@ -28,8 +28,8 @@ def rng():
 def test_noise_that_is_not_white_is_no_texture(rng):
     coloured = [0.95 * rng.standard_normal(SIZE) + 0.3 * smooth_noise(rng, 1.0) for _ in range(2)]
     mean = sum(coloured) / np.sqrt(2)
-    alone = texture_spectrum(mean, KNOWN, SIZE)
-    known_apart = texture_spectrum(mean, KNOWN, SIZE, (coloured[0], coloured[1]))
+    alone = texture_spectrum(mean, KNOWN, GRID)
+    known_apart = texture_spectrum(mean, KNOWN, GRID, (coloured[0], coloured[1]))
     assert (alone.signal > 0.5).mean() > 0.01
     # What is left is what exceeds twice the stated noise, and chance.
     assert known_apart.signal.sum() < 0.5 * alone.signal.sum()
@@ -40,7 +40,7 @@ def test_texture_far_below_the_noise_is_found_where_two_cameras_saw_it(rng):
     texture = smooth_noise(rng, 6.0)
     seen = [0.15 * texture + rng.standard_normal(SIZE) for _ in range(2)]
     mean = sum(seen) / np.sqrt(2)
-    found = texture_spectrum(mean, KNOWN, SIZE, (seen[0], seen[1]))
+    found = texture_spectrum(mean, KNOWN, GRID, (seen[0], seen[1]))
     slow = np.hypot(*np.meshgrid(np.fft.rfftfreq(SIZE[1]), np.fft.fftfreq(SIZE[0]))) < 0.02
     assert (found.signal[slow] > 0).mean() > 0.9
     assert (found.signal[~slow] > 0).mean() < 0.2
@@ -49,7 +49,7 @@ def test_texture_far_below_the_noise_is_found_where_two_cameras_saw_it(rng):
 def test_spectra_are_per_pixel_and_in_units_of_the_noise(rng):
     texture = 3 * rng.standard_normal(SIZE)
     seen = [texture + rng.standard_normal(SIZE) for _ in range(2)]
-    found = texture_spectrum(texture + rng.standard_normal(SIZE), KNOWN, SIZE, (seen[0], seen[1]))
+    found = texture_spectrum(texture + rng.standard_normal(SIZE), KNOWN, GRID, (seen[0], seen[1]))
     assert np.median(found.signal) == pytest.approx(9.0, rel=SCATTER)
     assert np.median(found.noise) == pytest.approx(1.0, rel=SCATTER)
 

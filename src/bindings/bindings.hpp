@@ -9,5 +9,6 @@ void bind_sensing(nanobind::module_& m);
 void bind_checks(nanobind::module_& m);
 void bind_texture(nanobind::module_& m);
 void bind_registration(nanobind::module_& m);
+void bind_refinement(nanobind::module_& m);
 void bind_evaluation(nanobind::module_& m);
 void bind_simulation(nanobind::module_& m);

@@ -11,6 +11,8 @@
 
 #include "bindings/bindings.hpp"
 
+using namespace nanobind::literals;
+
 namespace {
 
 bool cpu_has_avx2() {
@@ -27,6 +29,22 @@ void release_memory() {
 #endif
 }
 
+/// Maps and what lies between them come and go by the gigabyte, and to have fresh pages cleared by the system takes
+/// longer than most of what is written into them.
+void keep_memory(bool keep) {
+#if defined(__GLIBC__)
+    // Else the values that the allocator itself arrives at where large blocks are freed; 0 = as many as it likes.
+    constexpr int kEverything = 0x7FFFFFFF, kMapped = 32 << 20, kTrimmed = 64 << 20;
+    mallopt(M_MMAP_THRESHOLD, keep ? kEverything : kMapped);
+    mallopt(M_TRIM_THRESHOLD, keep ? kEverything : kTrimmed);
+    // What one thread has freed serves all others.
+    mallopt(M_ARENA_MAX, keep ? 1 : 0);
+    if (!keep) malloc_trim(0);
+#else
+    static_cast<void>(keep);
+#endif
+}
+
 }  // namespace
 
 NB_MODULE(PLANISH_MODULE, m) {
@@ -34,11 +52,14 @@ NB_MODULE(PLANISH_MODULE, m) {
     m.def("cpu_count", [] { return static_cast<int>(std::thread::hardware_concurrency()); });
     m.def("release_memory", &release_memory, nanobind::call_guard<nanobind::gil_scoped_release>(),
           "Gives the system back what the allocator keeps of freed memory, where it can be told to.");
+    m.def("keep_memory", &keep_memory, "keep"_a, nanobind::call_guard<nanobind::gil_scoped_release>(),
+          "Lets the allocator keep freed memory, up to 2 GiB, for the next arrays, or no longer.");
     bind_decoding(m);
     bind_sensing(m);
     bind_checks(m);
     bind_texture(m);
     bind_registration(m);
+    bind_refinement(m);
     bind_evaluation(m);
     bind_simulation(m);
 }

@@ -6,13 +6,13 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
+#include "core/align_texture.hpp"
 #include "core/chart.hpp"
 #include "core/consensus.hpp"
 #include "core/joint.hpp"
 #include "core/joint_pull.hpp"
-#include "core/joint_values.hpp"
-#include "core/locate_texture.hpp"
 #include "core/match.hpp"
+#include "core/nearest_pixels.hpp"
 #include "core/patches.hpp"
 #include "core/surface.hpp"
 
@@ -207,22 +207,6 @@ nb::tuple joint_pull(const nb::tuple& maps_a, const In<double, 1>& camera_a, con
 }
 
 /// Points, sigma, normals, tangents, displacement by blur, texture and its sigma: see planish::JointSources.
-Out<float, 3> joint_values(const nb::tuple& maps, const In<double, 1>& centre, double blur, double blur_sigma,
-                           int spacing, int threads) {
-    const auto three = [&](int k) { return view<float, 3>(nb::cast<In<float, 3>>(maps[k])); };
-    const auto two = [&](int k) { return view<float, 2>(nb::cast<In<float, 2>>(maps[k])); };
-    const planish::JointSources in{three(0), two(1), three(2), three(3), two(4), two(5), two(6)};
-    const planish::JointValueOptions options{Eigen::Vector3d(centre(0), centre(1), centre(2)).cast<float>(),
-                                             static_cast<float>(blur), static_cast<float>(blur_sigma), spacing};
-    const auto thinned = [&](int n) { return (n + spacing - 1) / spacing; };
-    Owned<float> values(thinned(in.points.height), thinned(in.points.width), planish::joint::channels);
-    {
-        nb::gil_scoped_release release;
-        planish::joint_values(in, options, threads, values.image);
-    }
-    return values.maps();
-}
-
 Out<std::int32_t, 2> nearest_rows(const std::vector<planish::Nearest>& found) {
     Owned<std::int32_t> out(static_cast<int>(found.size()), 3, 1);
     for (std::size_t i = 0; i < found.size(); ++i) {
@@ -288,20 +272,45 @@ Out<double, 2> align_patches(const nb::list& charts_a, const In<double, 2>& plac
     return out.map();
 }
 
-/// See planish::locate_texture.
-Out<float, 3> locate_texture(const In<float, 3>& places, const In<std::uint8_t, 2>& own, const In<float, 3>& points_a,
-                             const In<float, 3>& normals_a, const In<double, 1>& camera_b, const In<float, 3>& points_b,
-                             const In<double, 2>& T_b_a, double gate, int threads) {
+/// See planish::align_texture. Returns source, value, sigma, common.
+nb::tuple align_texture(const In<float, 3>& places, const In<std::uint8_t, 2>& own, const In<float, 3>& points_a,
+                        const In<float, 3>& normals_a, const In<double, 1>& camera_b, const In<float, 3>& points_b,
+                        const In<float, 2>& value_b, const In<float, 2>& sigma_b, const In<double, 2>& T_b_a,
+                        double gate, int threads) {
     const planish::TextureSurface a{view<float, 3>(places), view<std::uint8_t, 2>(own), view<float, 3>(points_a),
                                     view<float, 3>(normals_a)};
+    const planish::TexturedPoints b{view<float, 3>(points_b), view<float, 2>(value_b), view<float, 2>(sigma_b)};
     const auto camera = camera_from(camera_b);
     const Rigid T(T_b_a);
-    Owned<float> source(a.places.height, a.places.width, 2);
+    const int height = a.places.height, width = a.places.width;
+    Owned<float> source(height, width, 2), value(height, width, 1), sigma(height, width, 1);
+    Owned<std::uint8_t> common(height, width, 1);
     {
         nb::gil_scoped_release release;
-        planish::locate_texture(a, camera, view<float, 3>(points_b), T.R, T.t, gate, threads, source.image);
+        planish::align_texture(a, camera, b, T.R, T.t, gate, threads,
+                               {source.image, value.image, sigma.image, common.image});
     }
-    return source.maps();
+    return nb::make_tuple(source.maps(), value.map(), sigma.map(), common.map());
+}
+
+/// See planish::nearest_pixels. Returns flat pixels of b and of a (n, 2) and points (n, 3).
+nb::tuple nearest_pixels(const In<float, 3>& points_b, int stride, const In<double, 1>& camera_a, int height_a,
+                         int width_a, const In<double, 2>& T_a_b) {
+    const auto camera = camera_from(camera_a);
+    const Rigid T(T_a_b);
+    std::vector<planish::NearestPixel> found;
+    {
+        nb::gil_scoped_release release;
+        found = planish::nearest_pixels(view<float, 3>(points_b), stride, camera, height_a, width_a, T.R, T.t);
+    }
+    Owned<std::int32_t> pixels(static_cast<int>(found.size()), 2, 1);
+    Owned<double> points(static_cast<int>(found.size()), 3, 1);
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        pixels.image.data[2 * i] = found[i].pixel_b;
+        pixels.image.data[2 * i + 1] = found[i].pixel_a;
+        for (int k = 0; k < 3; ++k) points.image.data[3 * i + k] = found[i].point[k];
+    }
+    return nb::make_tuple(pixels.map(), points.map());
 }
 
 }  // namespace
@@ -320,9 +329,10 @@ void bind_registration(nb::module_& m) {
           "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
           "options"_a, "weights"_a, "with_residuals"_a, "threads"_a);
-    m.def("locate_texture", &locate_texture, "places"_a, "own"_a, "points_a"_a, "normals_a"_a, "camera_b"_a,
-          "points_b"_a, "T_b_a"_a, "gate"_a, "threads"_a);
-    m.def("joint_values", &joint_values, "maps"_a, "centre"_a, "blur"_a, "blur_sigma"_a, "spacing"_a, "threads"_a);
+    m.def("align_texture", &align_texture, "places"_a, "own"_a, "points_a"_a, "normals_a"_a, "camera_b"_a, "points_b"_a,
+          "value_b"_a, "sigma_b"_a, "T_b_a"_a, "gate"_a, "threads"_a);
+    m.def("nearest_pixels", &nearest_pixels, "points_b"_a, "stride"_a, "camera_a"_a, "height_a"_a, "width_a"_a,
+          "T_a_b"_a);
     m.def("joint_pull", &joint_pull, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a, "options"_a,
           "weights"_a, "threads"_a);
 }

@@ -14,6 +14,7 @@
 #include "core/fixed_pattern.hpp"
 #include "core/local_plane.hpp"
 #include "core/sample_chart.hpp"
+#include "core/split_bands.hpp"
 
 namespace {
 
@@ -198,20 +199,29 @@ void add_to_pattern(const In<float, 2>& value, const In<float, 2>& weight, int f
     planish::add_to_pattern(view<float, 2>(value), view<float, 2>(weight), factor, threads, sums, totals);
 }
 
-/// `own` of size 0: the contrast took no part in the sums.
-nb::tuple remove_pattern(const In<float, 2>& value, const In<float, 2>& variance, const In<float, 2>& own,
-                         const In<float, 2>& sum, const In<float, 2>& weight, const In<float, 2>& prior,
-                         const In<float, 2>& still, const In<float, 2>& gain, int factor, int threads) {
+/// `own` of size 0: the band took no part in the sums. `rest` and `uncertain` are changed in place.
+void remove_pattern(const In<float, 2>& band, const In<float, 2>& own, const nb::tuple& knowledge, int factor,
+                    float share, const Sums& rest, const Sums& uncertain, int threads) {
+    const auto map = [&](int k) { return view<float, 2>(nb::cast<In<float, 2>>(knowledge[k])); };
+    const planish::PatternKnowledge known{map(0), map(1), map(2), map(3), map(4), factor};
+    const auto mine = own.size() > 0 ? view<float, 2>(own) : planish::Image<const float>{};
+    const auto left = writable(rest), variance = writable(uncertain);
+    nb::gil_scoped_release release;
+    planish::remove_pattern(view<float, 2>(band), mine, known, share, threads, left, variance);
+}
+
+/// Fine and coarse band (H, W), per block (h, w) their sums of squares and the number of known pixels.
+nb::tuple split_bands(const In<float, 2>& value, const std::vector<float>& bell, int factor, int threads) {
     const auto in = view<float, 2>(value);
-    Owned<float> corrected(in.height, in.width, 1), uncertain(in.height, in.width, 1);
+    const int height = (in.height + factor - 1) / factor, width = (in.width + factor - 1) / factor;
+    Owned<float> fine(in.height, in.width, 1), coarse(in.height, in.width, 1);
+    Owned<float> fine_squares(height, width, 1), coarse_squares(height, width, 1), count(height, width, 1);
     {
         nb::gil_scoped_release release;
-        const planish::PatternKnowledge known{view<float, 2>(sum),   view<float, 2>(weight), view<float, 2>(prior),
-                                              view<float, 2>(still), view<float, 2>(gain),   factor};
-        const auto mine = own.size() > 0 ? view<float, 2>(own) : planish::Image<const float>{};
-        planish::remove_pattern(in, view<float, 2>(variance), mine, known, threads, corrected.image, uncertain.image);
+        planish::split_bands(in, bell, factor, threads,
+                             {fine.image, coarse.image, fine_squares.image, coarse_squares.image, count.image});
     }
-    return nb::make_tuple(corrected.map(), uncertain.map());
+    return nb::make_tuple(fine.map(), coarse.map(), fine_squares.map(), coarse_squares.map(), count.map());
 }
 
 }  // namespace
@@ -230,8 +240,9 @@ void bind_texture(nb::module_& m) {
           "covariance"_a, "noise_left"_a, "factor"_a, "limit"_a, "threads"_a);
     m.def("sample_chart", &sample_chart, "value"_a, "sigma"_a, "known"_a, "source"_a, "interpolated"_a, "threads"_a);
     m.def("add_to_pattern", &add_to_pattern, "value"_a, "weight"_a, "factor"_a, "sum"_a, "weights"_a, "threads"_a);
-    m.def("remove_pattern", &remove_pattern, "value"_a, "variance"_a, "own"_a, "sum"_a, "weight"_a, "prior"_a,
-          "still"_a, "gain"_a, "factor"_a, "threads"_a);
+    m.def("remove_pattern", &remove_pattern, "band"_a, "own"_a, "knowledge"_a, "factor"_a, "share"_a, "rest"_a,
+          "uncertain"_a, "threads"_a);
+    m.def("split_bands", &split_bands, "value"_a, "bell"_a, "factor"_a, "threads"_a);
     m.def("compensated_image", &compensated_image, "value"_a, "variance"_a, "level"_a, "factor"_a, "place"_a, "seen"_a,
           "gain"_a, "threads"_a);
     m.def("merge_contrasts", &merge_contrasts, "images"_a, "valid"_a, "factor"_a, "threads"_a);

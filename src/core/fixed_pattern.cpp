@@ -27,11 +27,10 @@ void add_to_pattern(const Image<const float>& value, const Image<const float>& w
     });
 }
 
-void remove_pattern(const Image<const float>& value, const Image<const float>& variance, const Image<const float>& own,
-                    const PatternKnowledge& known, int threads, const Image<float>& out_value,
-                    const Image<float>& out_variance) {
-    const int width = value.width;
-    parallel_for(value.height, threads, [&](std::size_t first, std::size_t last) {
+void remove_pattern(const Image<const float>& band, const Image<const float>& own, const PatternKnowledge& known,
+                    float share, int threads, const Image<float>& rest, const Image<float>& uncertain) {
+    const int width = band.width;
+    parallel_for(band.height, threads, [&](std::size_t first, std::size_t last) {
         BlockLerp prior_map(known.prior, known.factor, width), still_map(known.still, known.factor, width),
             gain_map(known.gain, known.factor, width);
         std::vector<float> prior_row(width), still_row(width), gain_row(width), own_row(width, 0.0F);
@@ -44,25 +43,21 @@ void remove_pattern(const Image<const float>& value, const Image<const float>& v
             const float* __restrict still = still_row.data();
             const float* __restrict gain = gain_row.data();
             const float* __restrict mine = own_row.data();
-            const float* __restrict contrast = value.row(v);
-            const float* __restrict noise = variance.row(v);
+            const float* __restrict contrast = band.row(v);
             const float* __restrict sums = known.sum.row(v);
             const float* __restrict weights = known.weight.row(v);
-            float* __restrict corrected = out_value.row(v);
-            float* __restrict uncertain = out_variance.row(v);
+            float* __restrict corrected = rest.row(v);
+            float* __restrict variance = uncertain.row(v);
             for (int u = 0; u < width; ++u) {
                 // A pixel that the sums left out has no more weight in them than its own.
                 const bool counted = weights[u] >= mine[u];
-                const float w = std::max(0.0F, weights[u] - (counted ? mine[u] : 0.0F));
-                const float s = sums[u] - (counted && mine[u] > 0 ? mine[u] * contrast[u] : 0.0F);
-                // Best linear estimate from the mean s / w, whose errors are 1 / (gain w) and `still`.
-                const float information = gain[u] * w;
-                const float denominator = 1 + information * (prior[u] + still[u]);
-                const float share = information * prior[u] / denominator;
-                const bool usable = w > 1e-3F * weights[u] && w > 0;
-                const float estimate = usable ? share * s / w : 0.0F;
-                corrected[u] = contrast[u] - estimate;
-                uncertain[u] = noise[u] + prior[u] * (1 - (usable ? share : 0.0F));
+                const float left = weights[u] - (counted ? mine[u] : 0.0F), w = left > 0 ? left : 0.0F;
+                const float s = sums[u] - ((counted & (mine[u] > 0)) ? mine[u] * contrast[u] : 0.0F);
+                // Best linear estimate, per * s, from the mean s / w, whose errors are 1 / (gain w) and `still`.
+                const float per = gain[u] * prior[u] / (1 + gain[u] * w * (prior[u] + still[u]));
+                const bool usable = (w > 1e-3F * weights[u]) & (w > 0);
+                corrected[u] -= usable ? per * s : 0.0F;
+                variance[u] += share * prior[u] * (1 - (usable ? per * w : 0.0F));
             }
         }
     });

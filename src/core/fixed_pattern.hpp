@@ -17,11 +17,10 @@ struct PatternKnowledge {
 void add_to_pattern(const Image<const float>& value, const Image<const float>& weight, int factor, int threads,
                     const Image<float>& sum, const Image<float>& weights);
 
-/// Takes the best linear estimate of the pattern from a contrast and adds what stays uncertain of it to the variance.
-/// `own` (h, w): the weights with which the contrast itself took part in the sums, which is taken out; empty: it did
-/// not.
-void remove_pattern(const Image<const float>& value, const Image<const float>& variance, const Image<const float>& own,
-                    const PatternKnowledge& known, int threads, const Image<float>& out_value,
-                    const Image<float>& out_variance);
+/// Takes the best linear estimate of the pattern in one band of a contrast from `rest`, and adds `share` of what stays
+/// uncertain of it to `uncertain`, in place. `own` (h, w): the weights with which the band itself took part in the
+/// sums, which is taken out; empty: it did not.
+void remove_pattern(const Image<const float>& band, const Image<const float>& own, const PatternKnowledge& known,
+                    float share, int threads, const Image<float>& rest, const Image<float>& uncertain);
 
 }  // namespace planish

@@ -1,10 +1,9 @@
 #include "core/joint_values.hpp"
 
 #include <algorithm>
-#include <array>
-#include <cmath>
 #include <cstddef>
 #include <limits>
+#include <vector>
 
 #include "core/joint.hpp"
 #include "core/parallel.hpp"
@@ -14,60 +13,74 @@ namespace {
 
 constexpr float NOT_A_NUMBER = std::numeric_limits<float>::quiet_NaN();
 
-/// Derivative by pixels, of the sixth order where seven pixels in a row are known: the gradient of fine texture is that
-/// of its interpolation.
-float slope(const float* at, std::ptrdiff_t step, int before, int after) {
-    const float near = at[step] - at[-step];
-    if (before >= 3 && after >= 3) {
-        const float wide =
-            0.75F * near - 0.15F * (at[2 * step] - at[-2 * step]) + (at[3 * step] - at[-3 * step]) / 60.0F;
-        if (wide == wide) return wide;
+/// Derivative by pixels along a row or down a column, of the sixth order where seven pixels in a row are known: the
+/// gradient of fine texture is that of its interpolation. `at` is the texture at the first of `count` pixels.
+void slopes(const float* __restrict at, std::ptrdiff_t step, int count, bool wide, float* __restrict out) {
+    for (int i = 0; i < count; ++i) out[i] = 0.5F * (at[i + step] - at[i - step]);
+    if (!wide) return;
+    for (int i = 0; i < count; ++i) {
+        const float found = 1.5F * out[i] - 0.15F * (at[i + 2 * step] - at[i - 2 * step]) +
+                            (at[i + 3 * step] - at[i - 3 * step]) / 60.0F;
+        out[i] = found == found ? found : out[i];
     }
-    return 0.5F * near;
 }
 
-/// Gradient of the texture along the surface at a pixel [1/mm].
-std::array<float, 3> gradient_at(const Image<const float>& texture, const float* tangents, int v, int u) {
-    std::array<float, 3> out{NOT_A_NUMBER, NOT_A_NUMBER, NOT_A_NUMBER};
-    const int width = texture.width, height = texture.height;
-    if (u == 0 || v == 0 || u + 1 == width || v + 1 == height) return out;
-    const float* at = texture.at(v, u);
-    const float f_u = slope(at, 1, u, width - 1 - u), f_v = slope(at, width, v, height - 1 - v);
+/// Slopes of one row of the texture along u and along v; NaN at the border.
+void row_slopes(const Image<const float>& texture, int v, float* along_u, float* along_v) {
+    const int width = texture.width, before = v, after = texture.height - 1 - v;
+    std::fill_n(along_u, width, NOT_A_NUMBER);
+    std::fill_n(along_v, width, NOT_A_NUMBER);
+    if (before == 0 || after == 0 || width < 3) return;
+    const float* line = texture.row(v);
+    slopes(line + 1, 1, width - 2, false, along_u + 1);
+    if (width > 6) slopes(line + 3, 1, width - 6, true, along_u + 3);
+    slopes(line + 1, width, width - 2, before >= 3 && after >= 3, along_v + 1);
+}
+
+/// Gradient of the texture along the surface from its slopes [1/mm].
+void write_gradient(const float* tangents, float f_u, float f_v, float* out) {
     const float *x_u = tangents, *x_v = tangents + 3;
     const float e = x_u[0] * x_u[0] + x_u[1] * x_u[1] + x_u[2] * x_u[2];
     const float f = x_u[0] * x_v[0] + x_u[1] * x_v[1] + x_u[2] * x_v[2];
     const float g = x_v[0] * x_v[0] + x_v[1] * x_v[1] + x_v[2] * x_v[2];
-    const float determinant = e * g - f * f;
-    if (!(determinant > 0)) return out;
-    const float alpha = (g * f_u - f * f_v) / determinant, beta = (e * f_v - f * f_u) / determinant;
+    const float determinant = e * g - f * f, per = (determinant > 0 ? 1.0F : NOT_A_NUMBER) / determinant;
+    const float alpha = (g * f_u - f * f_v) * per, beta = (e * f_v - f * f_u) * per;
     for (int i = 0; i < 3; ++i) out[i] = alpha * x_u[i] + beta * x_v[i];
-    return out;
 }
 
-void write_pixel(const JointSources& in, const JointValueOptions& o, int v, int u, float* out) {
+/// Everything about a pixel but the texture: `v` and `u` are those of the whole resolution.
+void write_point(const JointSources& in, const JointValueOptions& o, int v, int u, float* out) {
     const Eigen::Vector3f point = Eigen::Vector3f::Map(in.points.at(v, u)),
                           n = Eigen::Vector3f::Map(in.normals.at(v, u));
     const Eigen::Vector3f ray = point - o.centre;
     const float by_blur = *in.by_blur.at(v, u), uncertain = o.blur_sigma * by_blur;
-    const float along = *in.sigma.at(v, u) * ray.dot(n) / ray.norm();
+    const float sigma = *in.sigma.at(v, u), along = ray.dot(n);
     Eigen::Vector3f::Map(out + joint::point) = point - o.blur * by_blur * n;
-    out[joint::variance_distance] = along * along + uncertain * uncertain;
+    out[joint::variance_distance] = sigma * sigma * along * along / ray.squaredNorm() + uncertain * uncertain;
     Eigen::Vector3f::Map(out + joint::normal) = n;
-    const float texture = *in.texture.at(v, u), sigma = *in.texture_sigma.at(v, u);
-    const auto number = static_cast<float>(o.spacing * o.spacing);
-    out[joint::variance_texture] = texture == texture ? sigma * sigma / number : NOT_A_NUMBER;
-    const auto gradient = gradient_at(in.texture, in.tangents.at(v, u), v, u);
-    std::copy(gradient.begin(), gradient.end(), out + joint::gradient);
     out[joint::blur] = uncertain;
 }
 
 }  // namespace
 
 void joint_values(const JointSources& in, const JointValueOptions& options, int threads, const Image<float>& values) {
-    parallel_tasks(static_cast<std::size_t>(values.height), threads, [&](std::size_t row) {
-        const int v = static_cast<int>(row);
-        for (int u = 0; u < values.width; ++u)
-            write_pixel(in, options, v * options.spacing, u * options.spacing, values.at(v, u));
+    const int n = options.spacing, width = values.width;
+    const auto number = static_cast<float>(n * n);
+    parallel_for(values.height, threads, [&](std::size_t first, std::size_t last) {
+        std::vector<float> along_u(width), along_v(width);
+        for (auto y = static_cast<int>(first); y < static_cast<int>(last); ++y) {
+            if (in.slopes.empty()) row_slopes(in.texture, y, along_u.data(), along_v.data());
+            for (int x = 0; x < width; ++x) {
+                float* out = values.at(y, x);
+                const int v = y * n, u = x * n;
+                write_point(in, options, v, u, out);
+                const float texture = *in.texture.at(y, x), sigma = *in.texture_sigma.at(v, u);
+                out[joint::variance_texture] = texture == texture ? sigma * sigma / number : NOT_A_NUMBER;
+                const float* slope = in.slopes.empty() ? nullptr : in.slopes.at(y, x);
+                write_gradient(in.tangents.at(v, u), slope ? slope[0] : along_u[x], slope ? slope[1] : along_v[x],
+                               out + joint::gradient);
+            }
+        }
     });
 }
 

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -12,10 +13,12 @@ namespace planish {
 namespace {
 
 constexpr std::int32_t none = std::numeric_limits<std::int32_t>::max();
-/// A distance no pair can have: it marks pairs whose sizes differ.
+/// Farther than any pair can be.
 constexpr float apart = std::numeric_limits<float>::infinity();
 /// Descriptors of a and b whose distances are computed in one go: they and the distances stay in the cache.
 constexpr int tile_a = 128, tile_b = 256;
+/// Distances that are looked at together before any is by itself.
+constexpr int chunk = 32;
 
 /// Descriptors as columns, sorted by size, so that what fits in size is one range.
 struct Sorted {
@@ -66,51 +69,64 @@ struct Running {
     }
 };
 
-/// Squared distances of a tile, and what they change. Only rows and columns that hold something nearer than what is
-/// known are looked through; after the first tiles these are few.
+/// The nearest of each descriptor of one side, and beyond which distance another one changes nothing.
+struct Side {
+    std::vector<Running> nearest;
+    std::vector<float> limit;
+
+    explicit Side(std::size_t count) : nearest(count), limit(count, apart) {}
+    void add(int row, float squared, std::int32_t which) {
+        nearest[row].add(squared, which);
+        limit[row] = nearest[row].second_squared;
+    }
+};
+
+/// Squared distances of a tile, and what they change. Most change nothing, which is seen of many at a time.
 class Tile {
   public:
     Tile(const Sorted& a, const Sorted& b, double reach) : a_(a), b_(b), reach_(reach) {}
 
-    void visit(int first_a, int count_a, int first_b, int count_b, std::vector<Running>& of_a,
-               std::vector<Running>& of_b) {
-        distance_.resize(count_a, count_b);
-        distance_.matrix().noalias() =
+    void visit(int first_a, int count_a, int first_b, int count_b, Side& of_a, Side& of_b) {
+        products_.resize(count_a, count_b);
+        products_.noalias() =
             a_.columns.middleCols(first_a, count_a).transpose() * b_.columns.middleCols(first_b, count_b);
-        nearest_.setConstant(count_a, apart);
         for (int j = 0; j < count_b; ++j) {
-            auto column = distance_.col(j);
-            column = (a_.squared.segment(first_a, count_a) + b_.squared[first_b + j]) - 2.0F * column;
-            part_by_size(first_a, count_a, first_b + j, j);
-            nearest_ = nearest_.min(column);
-            Running& seen = of_b[first_b + j];
-            if (column.minCoeff() > seen.second_squared) continue;
-            for (int i = 0; i < count_a; ++i)
-                if (column[i] != apart) seen.add(column[i], a_.index[first_a + i]);
-        }
-        for (int i = 0; i < count_a; ++i) {
-            Running& seen = of_a[first_a + i];
-            if (nearest_[i] > seen.second_squared) continue;
-            for (int j = 0; j < count_b; ++j)
-                if (distance_(i, j) != apart) seen.add(distance_(i, j), b_.index[first_b + j]);
+            const auto begin = a_.log_size.begin() + first_a, end = begin + count_a;
+            const double size = b_.log_size[first_b + j];
+            const auto low = static_cast<int>(std::lower_bound(begin, end, size - reach_) - begin);
+            const auto high = static_cast<int>(std::upper_bound(begin, end, size + reach_) - begin);
+            int i = low;
+            for (; i + chunk <= high; i += chunk)
+                look_at<true>(products_.col(j).data() + i, first_a + i, chunk, first_b + j, of_a, of_b);
+            if (i < high) look_at<false>(products_.col(j).data() + i, first_a + i, high - i, first_b + j, of_a, of_b);
         }
     }
 
   private:
-    void part_by_size(int first_a, int count_a, int row_b, int j) {
-        const auto begin = a_.log_size.begin() + first_a, end = begin + count_a;
-        const double size = b_.log_size[row_b];
-        if (*begin >= size - reach_ && *(end - 1) <= size + reach_) return;
-        const auto low = std::lower_bound(begin, end, size - reach_) - begin;
-        const auto high = std::upper_bound(begin, end, size + reach_) - begin;
-        distance_.col(j).head(low).setConstant(apart);
-        distance_.col(j).tail(count_a - high).setConstant(apart);
+    /// Distances of some descriptors of a, a whole chunk or less, to one of b.
+    template <bool whole>
+    void look_at(const float* products, int first_a, int rest, int row_b, Side& of_a, Side& of_b) const {
+        const int count = whole ? chunk : rest;
+        const float* __restrict squared_a = a_.squared.data() + first_a;
+        const float* __restrict limit_a = of_a.limit.data() + first_a;
+        const float squared_b = b_.squared[row_b], limit_b = of_b.limit[row_b];
+        std::array<float, chunk> distance;
+        int any = 0;
+        for (int i = 0; i < count; ++i) {
+            distance[i] = (squared_a[i] + squared_b) - 2.0F * products[i];
+            any |= distance[i] <= (limit_a[i] > limit_b ? limit_a[i] : limit_b) ? 1 : 0;
+        }
+        if (any == 0) return;
+        for (int i = 0; i < count; ++i) {
+            if (distance[i] > limit_a[i] && distance[i] > limit_b) continue;
+            of_a.add(first_a + i, distance[i], b_.index[row_b]);
+            of_b.add(row_b, distance[i], a_.index[first_a + i]);
+        }
     }
 
     const Sorted &a_, &b_;
     double reach_;
-    Eigen::ArrayXXf distance_;
-    Eigen::ArrayXf nearest_;
+    Eigen::MatrixXf products_;
 };
 
 std::vector<Nearest> in_given_order(const std::vector<Running>& sorted, const std::vector<std::int32_t>& index) {
@@ -124,10 +140,10 @@ std::vector<Nearest> in_given_order(const std::vector<Running>& sorted, const st
 BothNearest nearest_descriptors(const Descriptors& a, const Descriptors& b, double max_size_ratio, int threads) {
     const Sorted sa(a), sb(b);
     const double reach = std::log(max_size_ratio);
-    std::vector<Running> of_a(sa.index.size()), of_b(sb.index.size());
+    Side of_a(sa.index.size());
     // Each thread keeps its own nearest of b; which of two is nearer does not depend on who found it.
     const auto workers = static_cast<std::size_t>(std::max(threads, 1));
-    std::vector<std::vector<Running>> partial(workers, std::vector<Running>(of_b.size()));
+    std::vector<Side> partial(workers, Side(sb.index.size()));
     const int tiles = (sa.count() + tile_a - 1) / tile_a;
     parallel_for(workers, threads, [&](std::size_t first, std::size_t last) {
         Tile tile(sa, sb, reach);
@@ -142,9 +158,10 @@ BothNearest nearest_descriptors(const Descriptors& a, const Descriptors& b, doub
                     tile.visit(begin, count, j, std::min(tile_b, last_b - j), of_a, partial[worker]);
             }
     });
-    for (const auto& part : partial)
-        for (std::size_t j = 0; j < of_b.size(); ++j) of_b[j].add(part[j]);
-    return {in_given_order(of_a, sa.index), in_given_order(of_b, sb.index)};
+    std::vector<Running> of_b(sb.index.size());
+    for (const Side& part : partial)
+        for (std::size_t j = 0; j < of_b.size(); ++j) of_b[j].add(part.nearest[j]);
+    return {in_given_order(of_a.nearest, sa.index), in_given_order(of_b, sb.index)};
 }
 
 }  // namespace planish

@@ -178,27 +178,66 @@ struct Normal {
     }
 };
 
-/// Correlation coefficient of a tile and b at one shift, 0 where b has no texture there.
-double correlation(const Image<const float>& b, const Tile& tile, const std::vector<Template>& pixels,
-                   const Eigen::Vector2d& shift) {
-    const Eigen::Vector2d step_b = tile.J_b * shift + tile.offset_b;
-    double n = 0, sa = 0, sb = 0, saa = 0, sab = 0, sbb = 0;
-    for (const Template& p : pixels) {
-        const double u = p.pixel_b.x() + step_b.x(), v = p.pixel_b.y() + step_b.y();
-        if (!(u >= 0 && v >= 0 && u < b.width - 1 && v < b.height - 1)) continue;
-        const int iu = static_cast<int>(u), iv = static_cast<int>(v);
-        const double fu = u - iu, fv = v - iv;
-        const float *top = b.at(iv, iu), *bottom = b.at(iv + 1, iu);
-        const double value =
-            (1 - fv) * ((1 - fu) * top[0] + fu * top[1]) + fv * ((1 - fu) * bottom[0] + fu * bottom[1]);
-        if (!(value == value)) continue;
-        n += 1;
-        sa += p.value;
-        sb += value;
-        saa += p.value * p.value;
-        sab += p.value * value;
-        sbb += value * value;
+/// Values of a tile's pixels about their mean, and their places in b before any shift; filled up with places outside to
+/// whole vectors.
+struct TilePixels {
+    static constexpr std::size_t lane = 8;
+    std::vector<float> value, u, v;
+
+    TilePixels(const std::vector<Template>& pixels, const Tile& tile) {
+        double mean = 0;
+        for (const Template& p : pixels) mean += p.value / static_cast<double>(pixels.size());
+        for (const Template& p : pixels) {
+            value.push_back(static_cast<float>(p.value - mean));
+            u.push_back(static_cast<float>(p.pixel_b.x() + tile.offset_b.x()));
+            v.push_back(static_cast<float>(p.pixel_b.y() + tile.offset_b.y()));
+        }
+        const std::size_t size = (pixels.size() + lane - 1) / lane * lane;
+        value.resize(size, 0.0F);
+        u.resize(size, -1e9F);
+        v.resize(size, -1e9F);
     }
+};
+
+/// Correlation coefficient of a tile and b at one shift, 0 where b has no texture there.
+double correlation(const Image<const float>& b, const Tile& tile, const TilePixels& pixels,
+                   const Eigen::Vector2d& shift) {
+    constexpr std::size_t lane = TilePixels::lane;
+    using Lanes = Eigen::Array<float, lane, 1>;
+    const Eigen::Vector2f step = (tile.J_b * shift).cast<float>();
+    const float du = step.x(), dv = step.y(), right = static_cast<float>(b.width - 1),
+                bottom = static_cast<float>(b.height - 1);
+    const int width = b.width;
+    const float* __restrict data = b.data;
+    std::array<Lanes, 6> sums;
+    sums.fill(Lanes::Zero());
+    for (std::size_t first = 0; first < pixels.value.size(); first += lane) {
+        const float *at_u = &pixels.u[first], *at_v = &pixels.v[first];
+        Lanes known, other;
+        for (std::size_t x = 0; x < lane; ++x) {
+            const float u = at_u[x] + du, v = at_v[x] + dv;
+            const bool inside = (u >= 0) & (v >= 0) & (u < right) & (v < bottom);
+            const float uc = inside ? u : 0.0F, vc = inside ? v : 0.0F;
+            const int iu = static_cast<int>(uc), iv = static_cast<int>(vc), at = iv * width + iu;
+            const float fu = uc - static_cast<float>(iu), fv = vc - static_cast<float>(iv);
+            const float top = (1 - fu) * data[at] + fu * data[at + 1],
+                        low = (1 - fu) * data[at + width] + fu * data[at + width + 1];
+            const float value = (1 - fv) * top + fv * low;
+            const bool counts = inside & (value == value);
+            known[static_cast<Eigen::Index>(x)] = counts ? 1.0F : 0.0F;
+            other[static_cast<Eigen::Index>(x)] = counts ? value : 0.0F;
+        }
+        const Lanes own = known * Eigen::Map<const Lanes>(&pixels.value[first]);
+        sums[0] += known;
+        sums[1] += own;
+        sums[2] += other;
+        sums[3] += own * own;
+        sums[4] += own * other;
+        sums[5] += other * other;
+    }
+    std::array<double, 6> total{};
+    for (std::size_t i = 0; i < sums.size(); ++i) total[i] = sums[i].cast<double>().sum();
+    const auto [n, sa, sb, saa, sab, sbb] = total;
     const double r = (n * sab - sa * sb) / std::sqrt((n * saa - sa * sa) * (n * sbb - sb * sb));
     return std::isfinite(r) ? r : 0.0;
 }
@@ -273,7 +312,8 @@ std::vector<double> shift_scores(const Contrast& a, const Contrast& b, const Ima
         std::vector<Template> pixels;
         for (std::size_t i = first; i < last; ++i) {
             gather(a, pixels_b, tiles[i], size, pixels);
-            for (const auto& shift : shifts) per_tile[i].push_back(correlation(b.value, tiles[i], pixels, shift));
+            const TilePixels own(pixels, tiles[i]);
+            for (const auto& shift : shifts) per_tile[i].push_back(correlation(b.value, tiles[i], own, shift));
         }
     });
     std::vector<double> out(shifts.size(), 0.0);

@@ -3,16 +3,16 @@
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
-#include <cstring>
 
+#include "core/packets.hpp"
 #include "core/parallel.hpp"
 
 namespace planish {
 namespace {
 
-/// Values that one instruction takes; rows are padded to whole vectors, so that the inner loops need no rest.
+/// Rows are padded to so many values, whole vectors, so that the inner loops need no rest.
 constexpr int lane = 8;
-using Lanes = Eigen::Array<float, lane, 1>;
+static_assert(lane % Packet::size == 0);
 /// Offsets along x that are computed in one go: each value is loaded once for all of them.
 constexpr int block = 5;
 
@@ -43,40 +43,37 @@ struct Disc {
     }
 };
 
-/// Values of a line of the chart by linear interpolation: from (u, v) in steps (du, dv); zero outside the chart.
-///
-/// In passes over a few pixels each: all but the reading is vector arithmetic, which reading in between would break up.
-void sample_line(const Image<const float>& chart, float u0, float v0, float du, float dv, int count,
-                 float* __restrict out) {
-    constexpr int ahead = 4 * lane;
+/// A line of places in a chart: from (u, v) in steps (du, dv).
+struct Line {
+    float u, v, du, dv;
+};
+
+/// Values along a line of the chart by linear interpolation; zero outside the chart, which it does not leave where it
+/// is `whole`. What follows to the next whole vector becomes zero.
+template <bool whole>
+void sample_line(const Image<const float>& chart, const Line& line, int count, float* __restrict out) {
     const float u_max = static_cast<float>(chart.width) - 1.001F, v_max = static_cast<float>(chart.height) - 1.001F;
     const int width = chart.width;
-    std::array<float, ahead> inside, fu, fv;
-    std::array<float, 2 * ahead> above, below;
-    std::array<std::int32_t, ahead> at;
-    for (int first = 0; first < count; first += ahead) {
-        const int rest = std::min(count - first, ahead);
-        for (int x = 0; x < rest; ++x) {
-            const float u = u0 + static_cast<float>(first + x) * du, v = v0 + static_cast<float>(first + x) * dv;
+    const auto last = static_cast<float>(count);
+    // Copies, which nothing that is written can change.
+    const float u0 = line.u, v0 = line.v, du = line.du, dv = line.dv;
+    const float* __restrict data = chart.data;
+    // Loops of fixed length, which need no rest.
+    for (int begin = 0; begin < count; begin += lane)
+        for (int x = begin; x < begin + lane; ++x) {
+            const float step = static_cast<float>(x), u = u0 + step * du, v = v0 + step * dv;
             // Clamped, so that every read is inside; what was outside is multiplied by zero.
-            const float uc = std::min(std::max(u, 0.0F), u_max), vc = std::min(std::max(v, 0.0F), v_max);
-            inside[x] = (uc == u ? 1.0F : 0.0F) * (vc == v ? 1.0F : 0.0F);
+            const float uc = whole ? u : std::min(std::max(u, 0.0F), u_max),
+                        vc = whole ? v : std::min(std::max(v, 0.0F), v_max);
+            float inside = step < last ? 1.0F : 0.0F;
+            if constexpr (!whole) inside *= (uc == u ? 1.0F : 0.0F) * (vc == v ? 1.0F : 0.0F);
             const int iu = static_cast<int>(uc), iv = static_cast<int>(vc);
-            fu[x] = uc - static_cast<float>(iu);
-            fv[x] = vc - static_cast<float>(iv);
-            at[x] = iv * width + iu;
+            const float fu = uc - static_cast<float>(iu), fv = vc - static_cast<float>(iv);
+            const int at = iv * width + iu;
+            const float a = data[at], b = data[at + 1], c = data[at + width], d = data[at + width + 1];
+            const float top = a + fu * (b - a), bottom = c + fu * (d - c);
+            out[x] = inside * (top + fv * (bottom - top));
         }
-        for (int x = 0; x < rest; ++x) {
-            const float* here = chart.data + at[x];
-            std::memcpy(&above[2 * x], here, 2 * sizeof(float));
-            std::memcpy(&below[2 * x], here + width, 2 * sizeof(float));
-        }
-        for (int x = 0; x < rest; ++x) {
-            const float top = above[2 * x] + fu[x] * (above[2 * x + 1] - above[2 * x]);
-            const float bottom = below[2 * x] + fu[x] * (below[2 * x + 1] - below[2 * x]);
-            out[first + x] = inside[x] * (top + fv[x] * (bottom - top));
-        }
-    }
 }
 
 /// The surroundings of a place, turned by `turn`; of a disc where one is given, which is zero outside.
@@ -85,41 +82,55 @@ void sample(const Image<const float>& chart, const PatchPlace& place, double tur
     const auto& m = place.axes;
     const double ux = m[0] * c + m[1] * s, uy = m[1] * c - m[0] * s;
     const double vx = m[2] * c + m[3] * s, vy = m[3] * c - m[2] * s;
+    // Behind each row stands up to a vector less one.
+    const double reach = out.half + lane, u_reach = reach * (std::abs(ux) + std::abs(uy)),
+                 v_reach = reach * (std::abs(vx) + std::abs(vy));
+    const bool whole = place.u - u_reach > 0 && place.v - v_reach > 0 && place.u + u_reach < chart.width - 2 &&
+                       place.v + v_reach < chart.height - 2;
     for (int y = 0; y < out.side; ++y) {
         const int begin = disc ? disc->begin[y] : 0, end = disc ? disc->end[y] : out.side;
         const double dx = begin - out.half, dy = y - out.half;
-        sample_line(chart, static_cast<float>(place.u + dx * ux + dy * uy),
-                    static_cast<float>(place.v + dx * vx + dy * vy), static_cast<float>(ux), static_cast<float>(vx),
-                    end - begin, out.row(y) + begin);
+        const Line line{static_cast<float>(place.u + dx * ux + dy * uy),
+                        static_cast<float>(place.v + dx * vx + dy * vy), static_cast<float>(ux),
+                        static_cast<float>(vx)};
+        if (whole)
+            sample_line<true>(chart, line, end - begin, out.row(y) + begin);
+        else
+            sample_line<false>(chart, line, end - begin, out.row(y) + begin);
     }
 }
 
-/// Sums of a * b over the disc of a at the whole offsets (x, y) ... (x + block - 1, y) in b.
-std::array<float, block> products(const Square& a, const Disc& disc, const Square& b, int x, int y) {
-    const int shift = b.half - a.half;
-    std::array<Lanes, block> sums;
-    sums.fill(Lanes::Zero());
+/// Sums of a * b over the disc of a at the whole offsets (x, y) ... (x + columns - 1, y + rows - 1) in b, row by row.
+template <int rows, int columns>
+std::array<float, static_cast<std::size_t>(rows) * columns> products(const Square& a, const Disc& disc, const Square& b,
+                                                                     int x, int y) {
+    const int shift = b.half - a.half, down = b.stride;
+    std::array<Packet, static_cast<std::size_t>(rows) * columns> sums;
     for (int r = 0; r < a.side; ++r) {
         const float* p = a.row(r);
         const float* q = b.row(r + shift + y) + shift + x;
-        for (int k = disc.begin[r] / lane * lane; k < disc.end[r]; k += lane) {
-            const Lanes value = Eigen::Map<const Lanes>(p + k);
-            for (int i = 0; i < block; ++i) sums[i] += value * Eigen::Map<const Lanes>(q + k + i);
+        for (int k = disc.begin[r] / lane * lane; k < disc.end[r]; k += Packet::size) {
+            const Packet value(p + k);
+            for (int j = 0; j < rows; ++j)
+                for (int i = 0; i < columns; ++i)
+                    sums[j * columns + i].add_product(value, Packet(q + j * down + k + i));
         }
     }
-    std::array<float, block> out;
-    for (int i = 0; i < block; ++i) out[i] = sums[i].sum();
+    std::array<float, static_cast<std::size_t>(rows) * columns> out;
+    for (std::size_t i = 0; i < out.size(); ++i) out[i] = sums[i].sum();
     return out;
 }
 
-/// A patch with its squares and where it has texture, as the normalisation needs them.
+/// A patch with its squares and where it has texture, as the normalisation of patches with gaps needs them.
 struct Known {
     Square value, squared, known;
-    bool there = true, whole = false;  ///< whole: with texture at every pixel of what is compared
+    bool whole = false;      ///< with texture at every pixel of what is compared
+    bool completed = false;  ///< whether `squared` and `known` are those of `value`
 
     explicit Known(int half) : value(half), squared(half), known(half) {}
-    /// `pixels` is how many are compared.
-    void complete(float pixels) {
+
+    void complete() {
+        if (completed) return;
         const auto size = static_cast<int>(value.value.size());
         const float* __restrict v = value.value.data();
         float* __restrict square = squared.value.data();
@@ -128,9 +139,16 @@ struct Known {
             square[i] = v[i] * v[i];
             there_is[i] = v[i] != 0.0F ? 1.0F : 0.0F;
         }
-        whole = Eigen::Map<const Eigen::ArrayXf>(there_is, size).sum() == pixels;
+        completed = true;
     }
 };
+
+/// How many values of a square are not zero.
+int count_known(const Square& square) {
+    int count = 0;
+    for (const float value : square.value) count += value != 0.0F ? 1 : 0;
+    return count;
+}
 
 struct Correlation {
     double value = -1.0;
@@ -154,13 +172,15 @@ class Aligner {
     explicit Aligner(const PatchOptions& options)
         : o(options),
           disc(options.radius),
-          turned(2 * options.turns + 1, Square(options.radius)),
+          turned(2 * options.turns + 1, Known(options.radius)),
           energy(turned.size()),
-          fan(5, Known(options.radius)),
-          wide(options.radius + options.reach + 1),
-          under_disc(2 * options.reach + 3) {
-        for (std::size_t y = 0; y < disc.begin.size(); ++y)
-            disc_pixels += static_cast<float>(disc.end[y] - disc.begin[y]);
+          between(2, Known(options.radius)),
+          all(options.radius),
+          wide(options.radius + options.reach + 1) {
+        for (int y = 0; y < all.side; ++y) {
+            std::fill(all.row(y) + disc.begin[y], all.row(y) + disc.end[y], 1.0F);
+            disc_pixels += disc.end[y] - disc.begin[y];
+        }
     }
 
     PatchAlignment align(const Image<const float>& chart_a, const PatchPlace& a, const Image<const float>& chart_b,
@@ -168,32 +188,36 @@ class Aligner {
         if (&a != of_a) turn_all(chart_a, a);
         of_a = &a;
         sample(chart_b, b, 0.0, nullptr, wide.value);
+        wide.completed = squares_known = false;
         const Best coarse = search();
         if (coarse.value <= 0.0) return {};
-        wide.complete(static_cast<float>(wide.value.side * wide.value.side));
+        wide.whole = count_known(wide.value) == wide.value.side * wide.value.side;
         const double middle = (coarse.turn - o.turns) * o.turn_step;
-        for (int t = -2; t <= 2; ++t) {
-            Known& one = fan[t + 2];
-            const int whole = coarse.turn + t / 2;
-            one.there = t % 2 != 0 || (whole >= 0 && whole < static_cast<int>(turned.size()));
-            if (!one.there) continue;
-            if (t % 2 == 0)
-                one.value = turned[whole];
-            else
-                sample(chart_a, a, -(middle + t * 0.5 * o.turn_step), &disc, one.value);
-            one.complete(disc_pixels);
-            if (one.whole && wide.whole) fan_energy[t + 2] = products(one.squared, disc, wide.known, 0, 0)[0];
+        for (int side = 0; side < 2; ++side) {
+            sample(chart_a, a, -(middle + (side - 0.5) * o.turn_step), &disc, between[side].value);
+            finish(between[side]);
+            between_energy[side] = energy_of(between[side]);
         }
         return fine(coarse, middle);
     }
 
   private:
+    using Nine = std::array<Correlation, 9>;
+
     void turn_all(const Image<const float>& chart, const PatchPlace& place) {
         for (int t = 0; t < static_cast<int>(turned.size()); ++t) {
             // The offsets are those of b's patch, so that a is the one that is read along turned axes.
-            sample(chart, place, -(t - o.turns) * o.turn_step, &disc, turned[t]);
-            energy[t] = products(turned[t], disc, turned[t], 0, 0)[0];
+            sample(chart, place, -(t - o.turns) * o.turn_step, &disc, turned[t].value);
+            finish(turned[t]);
+            energy[t] = energy_of(turned[t]);
         }
+    }
+    void finish(Known& patch) const {
+        patch.completed = false;
+        patch.whole = count_known(patch.value) == disc_pixels;
+    }
+    [[nodiscard]] float energy_of(const Known& patch) const {
+        return products<1, 1>(patch.value, disc, patch.value, 0, 0)[0];
     }
 
     /// The greatest product over all rotations and whole offsets, relative to the energy of the turned patch.
@@ -202,90 +226,116 @@ class Aligner {
         for (int t = 0; t < static_cast<int>(turned.size()); ++t) {
             if (energy[t] <= 0) continue;
             const double scale = 1.0 / std::sqrt(energy[t]);
-            for (int y = -o.reach; y <= o.reach; ++y)
-                for (int x = -o.reach; x <= o.reach; x += block) {
-                    const auto sums = products(turned[t], disc, wide.value, x, y);
-                    for (int i = 0; i < block && x + i <= o.reach; ++i)
-                        if (scale * sums[i] > best.value) best = {t, x + i, y, scale * sums[i]};
-                }
+            // Two rows at a time, and the one that is left.
+            for (int y = -o.reach; y < o.reach; y += 2)
+                for (int x = -o.reach; x <= o.reach; x += block)
+                    keep_best(products<2, block>(turned[t].value, disc, wide.value, x, y), t, x, y, scale, best);
+            for (int x = -o.reach; x <= o.reach; x += block)
+                keep_best(products<1, block>(turned[t].value, disc, wide.value, x, o.reach), t, x, o.reach, scale,
+                          best);
         }
         return best;
     }
-
-    /// The energies of b under the disc at the offsets (x - 1 ... x + 3, y); they serve all turns of whole patches.
-    const std::array<float, block>& energy_of_b(const Known& a, int x, int y) {
-        auto& kept = under_disc[y + o.reach + 1];
-        if (!kept.known || kept.x != x) kept = {true, x, products(a.known, disc, wide.squared, x - 1, y)};
-        return kept.energy;
+    template <std::size_t count>
+    void keep_best(const std::array<float, count>& sums, int turn, int x, int y, double scale, Best& best) const {
+        for (int j = 0; j < static_cast<int>(count) / block; ++j)
+            for (int i = 0; i < block && x + i <= o.reach; ++i)
+                if (const double value = scale * sums[j * block + i]; value > best.value)
+                    best = {turn, x + i, y + j, value};
     }
 
-    /// Normalised over the pixels where both have texture, at the offsets (x - 1, y), (x, y), (x + 1, y).
-    std::array<Correlation, 3> correlate(int turn, int x, int y) {
-        const Known& a = fan[turn];
-        const auto ab = products(a.value, disc, wide.value, x - 1, y);
-        std::array<float, block> aa, bb, n;
+    /// Turned by half steps from a whole step before the best rotation (0) to one behind (4); null = not searched.
+    [[nodiscard]] Known* of_turn(int t, int coarse_turn) {
+        if (t % 2 != 0) return &between[t / 2];
+        const int whole = coarse_turn + t / 2 - 1;
+        return whole >= 0 && whole < static_cast<int>(turned.size()) ? &turned[whole] : nullptr;
+    }
+    [[nodiscard]] float energy_at(int t, int coarse_turn) const {
+        return t % 2 != 0 ? between_energy[t / 2] : static_cast<float>(energy[coarse_turn + t / 2 - 1]);
+    }
+
+    /// Normalised over the pixels where both have texture, at the nine offsets around (x, y), row by row.
+    Nine correlate(Known& a, float energy_a, int x, int y) {
+        const auto ab = products<3, 3>(a.value, disc, wide.value, x - 1, y - 1);
+        std::array<float, 9> aa, bb, n;
         if (a.whole && wide.whole) {
             // What does not depend on the offset, or not on the turn, is the same sum of the same values.
-            aa.fill(fan_energy[turn]);
-            n.fill(disc_pixels);
-            bb = energy_of_b(a, x, y);
+            aa.fill(energy_a);
+            n.fill(static_cast<float>(disc_pixels));
+            bb = energies_of_b(x, y);
         } else {
-            aa = products(a.squared, disc, wide.known, x - 1, y);
-            bb = products(a.known, disc, wide.squared, x - 1, y);
-            n = products(a.known, disc, wide.known, x - 1, y);
+            a.complete();
+            wide.complete();
+            aa = products<3, 3>(a.squared, disc, wide.known, x - 1, y - 1);
+            bb = products<3, 3>(a.known, disc, wide.squared, x - 1, y - 1);
+            n = products<3, 3>(a.known, disc, wide.known, x - 1, y - 1);
         }
-        std::array<Correlation, 3> out;
-        for (int i = 0; i < 3; ++i) {
+        Nine out;
+        for (std::size_t i = 0; i < out.size(); ++i) {
             const double norm = std::sqrt(static_cast<double>(aa[i]) * bb[i]);
             if (norm > 0) out[i] = {ab[i] / norm, static_cast<int>(n[i])};
         }
         return out;
     }
 
+    /// The energies of b under the disc at the nine offsets around (x, y); they serve all turns of whole patches.
+    const std::array<float, 9>& energies_of_b(int x, int y) {
+        if (!squares_known || squares_x != x || squares_y != y) {
+            wide.complete();
+            squares = products<3, 3>(all, disc, wide.squared, x - 1, y - 1);
+            squares_known = true;
+            squares_x = x;
+            squares_y = y;
+        }
+        return squares;
+    }
+
     /// The greatest correlation around the coarse one, with fractions of steps.
     [[nodiscard]] PatchAlignment fine(const Best& coarse, double middle) {
-        for (auto& kept : under_disc) kept.known = false;
         Best best;
         Correlation at_best;
-        for (int t = 1; t <= 3; ++t)
-            for (int y = std::max(coarse.y - 1, -o.reach); y <= std::min(coarse.y + 1, o.reach); ++y) {
-                const auto row = correlate(t, coarse.x, y);
-                for (int i = 0; i < 3; ++i) {
-                    const int x = coarse.x + i - 1;
-                    if (std::abs(x) > o.reach || row[i].value <= at_best.value) continue;
-                    at_best = row[i];
-                    best = {t, x, y, row[i].value};
-                }
+        std::array<Nine, 5> around;
+        for (int t = 1; t <= 3; ++t) {
+            around[t] = correlate(*of_turn(t, coarse.turn), energy_at(t, coarse.turn), coarse.x, coarse.y);
+            for (int i = 0; i < 9; ++i) {
+                const int x = coarse.x + i % 3 - 1, y = coarse.y + i / 3 - 1;
+                if (std::max(std::abs(x), std::abs(y)) > o.reach || around[t][i].value <= at_best.value) continue;
+                at_best = around[t][i];
+                best = {t, x, y, at_best.value};
             }
+        }
         if (at_best.pixels == 0) return {};
-        const auto at = [&](int t, int y) { return correlate(t, best.x, y); };
-        const auto row = at(best.turn, best.y);
+        const bool moved = best.x != coarse.x || best.y != coarse.y;
+        for (int t = best.turn - 1; t <= best.turn + 1; ++t) {
+            Known* turn = of_turn(t, coarse.turn);
+            if (turn && (moved || t == 0 || t == 4))
+                around[t] = correlate(*turn, energy_at(t, coarse.turn), best.x, best.y);
+        }
+        constexpr int above = 1, left = 3, here = 4, right = 5, below = 7;
+        const Nine& at = around[best.turn];
         const double half_step = 0.5 * o.turn_step;
-        const double x = best.x + vertex(row[0].value, best.value, row[2].value);
-        const double y =
-            best.y + vertex(at(best.turn, best.y - 1)[1].value, best.value, at(best.turn, best.y + 1)[1].value);
+        const double x = best.x + vertex(at[left].value, best.value, at[right].value);
+        const double y = best.y + vertex(at[above].value, best.value, at[below].value);
         double turn = middle + (best.turn - 2) * half_step;
-        if (fan[best.turn - 1].there && fan[best.turn + 1].there)
+        if (of_turn(best.turn - 1, coarse.turn) && of_turn(best.turn + 1, coarse.turn))
             turn +=
-                half_step * vertex(at(best.turn - 1, best.y)[1].value, best.value, at(best.turn + 1, best.y)[1].value);
+                half_step * vertex(around[best.turn - 1][here].value, best.value, around[best.turn + 1][here].value);
         return {at_best.value, x, y, turn, at_best.pixels};
     }
 
     PatchOptions o;
     Disc disc;
-    std::vector<Square> turned;
+    std::vector<Known> turned;
     std::vector<double> energy;
-    std::vector<Known> fan;  ///< of a: half steps around the best rotation, from a whole step back to one on
-    std::array<float, 5> fan_energy{};
+    std::vector<Known> between;  ///< of a: half a step before and behind the best rotation
+    std::array<float, 2> between_energy{};
+    Square all;  ///< 1 on the disc
     Known wide;  ///< of b
-    /// Energies of b under the disc, by the offset along y.
-    struct UnderDisc {
-        bool known = false;
-        int x = 0;
-        std::array<float, block> energy{};
-    };
-    std::vector<UnderDisc> under_disc;
-    float disc_pixels = 0;
+    /// Energies of b under the disc at the nine offsets around a place.
+    bool squares_known = false;
+    int squares_x = 0, squares_y = 0;
+    std::array<float, 9> squares{};
+    int disc_pixels = 0;
     const PatchPlace* of_a = nullptr;
 };
 

@@ -14,28 +14,46 @@ U16 = NDArray[np.uint16]
 def cpu_has_avx2() -> bool: ...
 def cpu_count() -> int: ...
 def release_memory() -> None: ...
+def keep_memory(keep: bool) -> None: ...
 
 # Registration
 def fit_surface(points: F32, camera: F64, radius: int, max_slope: float, threads: int) -> tuple[F32, F32, F32]: ...
-def locate_texture(
+def align_texture(
     places: F32,
     own: U8,
     points_a: F32,
     normals_a: F32,
     camera_b: F64,
     points_b: F32,
+    value_b: F32,
+    sigma_b: F32,
     T_b_a: F64,
     gate: float,
     threads: int,
-) -> F32: ...
+) -> tuple[F32, F32, F32, U8]: ...
+def nearest_pixels(
+    points_b: F32, stride: int, camera_a: F64, height_a: int, width_a: int, T_a_b: F64
+) -> tuple[NDArray[np.int32], F64]: ...
 def joint_values(
-    maps: tuple[F32, F32, F32, F32, F32, F32, F32],
+    maps: tuple[F32, F32, F32, F32, F32, F32],
+    texture: F32,
+    slopes: F32,
     centre: F64,
     blur: float,
     blur_sigma: float,
     spacing: int,
     threads: int,
 ) -> F32: ...
+def window_moments(
+    image: F32,
+    taps: Sequence[Sequence[float]],
+    pairs: Sequence[tuple[int, int]],
+    step: int,
+    shape: tuple[int, int],
+    threads: int,
+) -> F32: ...
+def spectrum_products(first: F32, second: F32, step: int, threads: int) -> F32: ...
+def weigh_spectrum(spectrum: F32, cells: F32, step: int, shading: float, threads: int) -> None: ...
 def nearest_descriptors(
     a: U8, size_a: F64, b: U8, size_b: F64, max_size_ratio: float, threads: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]: ...
@@ -96,17 +114,16 @@ def camera_contrast(
 ) -> tuple[F32, F32, F32]: ...
 def add_to_pattern(value: F32, weight: F32, factor: int, sum: F32, weights: F32, threads: int) -> None: ...
 def remove_pattern(
-    value: F32,
-    variance: F32,
+    band: F32,
     own: F32,
-    sum: F32,
-    weight: F32,
-    prior: F32,
-    still: F32,
-    gain: F32,
+    knowledge: tuple[F32, F32, F32, F32, F32],
     factor: int,
+    share: float,
+    rest: F32,
+    uncertain: F32,
     threads: int,
-) -> tuple[F32, F32]: ...
+) -> None: ...
+def split_bands(value: F32, bell: Sequence[float], factor: int, threads: int) -> tuple[F32, F32, F32, F32, F32]: ...
 def compensated_image(
     value: F32, variance: F32, level: F32, factor: int, place: F32, seen: U8, gain: float, threads: int
 ) -> tuple[F32, F32, F32, F32]: ...

@@ -201,3 +201,18 @@ def remove_pattern(value, variance, own, total, weight, prior, still, gain, fact
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(w > 1e-3 * weight, prior / (prior + still + 1 / (gain * w)), 0)
         return value - np.where(share > 0, share * s / w, 0), variance + prior * (1 - share)
+
+
+def split_bands(value, bell, factor):
+    known = np.isfinite(value)
+
+    def average(image):
+        out = np.zeros(image.shape)
+        padded = np.pad(image.astype(float), len(bell) // 2, mode="reflect")
+        for (i, j), weight in np.ndenumerate(np.outer(bell, bell)):
+            out += weight * padded[i : i + image.shape[0], j : j + image.shape[1]]
+        return out
+
+    coarse = np.where(known, average(np.where(known, value, 0)) / np.maximum(average(known), 1e-6), np.nan)
+    squares = [block_sums(band**2, -np.inf, np.inf, np.empty((0, 0)), factor) for band in (value - coarse, coarse)]
+    return value - coarse, coarse, squares[0][0], squares[1][0], squares[0][1]

@@ -14,6 +14,7 @@ from typing import Protocol, Self, TypeVar
 
 import cv2
 
+from planish import _core
 from planish.execution.recent import RECENT, WORKER_BYTES, main_process_bytes
 from planish.options import thread_count
 
@@ -79,6 +80,7 @@ class Threads:
 
     def __enter__(self) -> Self:
         RECENT.max_bytes = main_process_bytes()
+        _core.keep_memory(True)
         return self
 
     def __exit__(
@@ -87,3 +89,4 @@ class Threads:
         """Give back the memory; threads end with each `map`."""
         RECENT.max_bytes = WORKER_BYTES
         RECENT.clear()
+        _core.keep_memory(False)

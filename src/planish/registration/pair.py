@@ -86,7 +86,7 @@ def _judged(
     threads: int | None,
 ) -> PairResult:
     """Return the result that these matches and their consensus lead to."""
-    side_a, side_b = (Side(p.measurement, p.images, p.contrast) for p in (a, b))
+    side_a, side_b = (Side(p.measurement, p.images, p.contrast, threads) for p in (a, b))
     verdict = judge_coarse(side_a, side_b, matches, coarse, pairs_in_run, options.verdict, threads)
     first = verdict.first
     result = PairResult(

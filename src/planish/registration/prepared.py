@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.measurement import Map, Measurement
+from planish.options import side_by_side, thread_count
 from planish.registration.dense.match import DenseOptions, DenseTexture, prepare_dense
 from planish.registration.keypoints.detect import detect_keypoints
 from planish.registration.keypoints.keypoints import Keypoints
@@ -19,6 +20,7 @@ from planish.registration.options import PairOptions
 from planish.registration.refine.sides import JointSide, held_out_pixels, joint_sides
 from planish.registration.surface import Surface, fit_surface
 from planish.registration.texture.camera_pattern import FixedPattern
+from planish.registration.texture.charts import plan_charts
 from planish.registration.texture.photometric import local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
 from planish.registration.texture.strength import signal_to_noise
@@ -103,8 +105,26 @@ def draw_texture(
     """
     options = options or PairOptions()
     surface = fit_surface(measurement, options.surface, threads)
-    contrast = local_contrast(measurement, options.photometric, surface, fixed, threads)
-    images = texture_images(measurement, surface, contrast, pitch_mm, options.charts, threads)
+    return draw_on_surface(measurement, surface, pitch_mm, options, threads, fixed)
+
+
+def draw_on_surface(
+    measurement: Measurement,
+    surface: Surface,
+    pitch_mm: float,
+    options: PairOptions,
+    threads: int | None = None,
+    fixed: FixedPattern | None = None,
+) -> Textured:
+    """Return what `draw_texture` does, of a surface that has been fitted; charts are planned beside the contrast."""
+    contrast, charts = side_by_side(
+        [
+            lambda: local_contrast(measurement, options.photometric, surface, fixed, threads),
+            lambda: plan_charts(measurement, surface, options.charts),
+        ],
+        thread_count(threads),
+    )
+    images = texture_images(measurement, surface, contrast, pitch_mm, charts, threads)
     return Textured(measurement, surface, contrast, images)
 
 

@@ -7,6 +7,7 @@ obliquely than the other, they do not.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Self
@@ -15,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from planish import _core
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.registration.surface import Surface, SurfaceOptions
@@ -44,7 +46,7 @@ _ROUNDING = 1e-5
 _MIN_SHARE = 0.15
 
 
-def height_by_blur(measurement: Measurement, surface: Surface) -> tuple[Map, Map]:
+def height_by_blur(measurement: Measurement, surface: Surface, threads: int = 1) -> tuple[Map, Map]:
     """Return by how much averages over the images' neighbourhoods displace each point along its normal (H, W) [mm].
 
     First per 1 px^2 of the variance of the cameras' blur, which is the same in both, and small against what bends; then
@@ -73,7 +75,7 @@ def height_by_blur(measurement: Measurement, surface: Surface) -> tuple[Map, Map
     if other in rig.cameras and in_b is not None:
         seen = known & np.isfinite(in_b[..., 0])
         places = _Places.of(maps[0], maps[1], centre, seen)
-        fits, enough = places.fits([in_b[..., 0], in_b[..., 1], position, light])
+        fits, enough = places.fits([in_b[..., 0], in_b[..., 1], position, light], threads)
         with np.errstate(all="ignore"):
             shift, laplacian, by_b = _phase_shifts(*fits)
             per_mm = places.motion(rig.cameras[other])
@@ -85,7 +87,7 @@ def height_by_blur(measurement: Measurement, surface: Surface) -> tuple[Map, Map
         # Neighbours that the other camera sees too tell how light and positions bend.
         part = _around(alone)
         places = _Places.of(maps[0][part], maps[1][part], centre, known[part])
-        (phase, ln_light), enough = places.fits([position[part], light[part]])
+        (phase, ln_light), enough = places.fits([position[part], light[part]], threads)
         with np.errstate(all="ignore"):
             per_mm = places.motion(rig.projector)[:, int(np.argmax(measurement.projector_weights))]
             of_part = places.spread(_phase_shift(phase, ln_light) / per_mm, enough)
@@ -126,11 +128,11 @@ class _Places:
         rows, columns = (index * step for index in np.nonzero(whole[::step, ::step]))
         return cls(points, normals, centre, known, whole, rows, columns)
 
-    def fits(self, fields: list[Map]) -> tuple[list[Array], Mask]:
+    def fits(self, fields: list[Map], threads: int) -> tuple[list[Array], Mask]:
         """Fits (6, n) to the fields (H, W), of the last one's logarithm, and where there are enough pixels for them."""
         means = [_means(np.where(self.known, f, np.float32(np.nan))) for f in fields]
         means[-1] = np.log(np.where(self.whole, means[-1], np.float32(1)))
-        return _quadratic_fits(means, self.whole, self.rows, self.columns)
+        return _quadratic_fits(means, self.whole, self.rows, self.columns, threads)
 
     @property
     def _pixels(self) -> tuple[Index, Index]:
@@ -202,35 +204,38 @@ def _phase_shift(phase: Array, light: Array) -> Array:
     return np.asarray(phase[1] * light[1] + phase[2] * light[2] + (phase[3] + phase[5]) / 2)
 
 
-def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index) -> tuple[list[Array], Mask]:
+def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index, threads: int = 1) -> tuple[list[Array], Mask]:
     """Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 (6, n) of each field at places (n), by weighted least squares.
 
-    Fields and places are those of means (`_means`), derivatives are per pixel.
+    Fields and places are those of means (`_means`), each of a place's indices a multiple of what lies between them;
+    derivatives are per pixel.
     """
-    scale = _SCALE_PX / _BIN_PX
+    scale, step = _SCALE_PX / _BIN_PX, _STEP_PX // _BIN_PX
     t = np.arange(-int(_REACH * scale), int(_REACH * scale) + 1) / scale
-    columns = [np.asarray(np.exp(-0.5 * t**2) * t**p, np.float32) for p in range(5)]
+    columns = [np.exp(-0.5 * t**2) * t**p for p in range(5)]
+    taps, shape = [c.tolist() for c in columns], (-(-known.shape[0] // step), -(-known.shape[1] // step))
 
-    def moment(image: Map, p: int, q: int) -> Array:
-        filtered = cv2.sepFilter2D(image, cv2.CV_32F, columns[p], columns[q], borderType=cv2.BORDER_CONSTANT)
-        return np.asarray(filtered[v, u], float)
+    def moments(image: Map, powers: Sequence[tuple[int, int]]) -> Map:
+        return _core.window_moments(image, taps, powers, step, shape, threads)
 
-    share = known.astype(np.float32)
-    number, sums = moment(share, 0, 0), [c.sum(dtype=float) for c in columns]
+    row, column = v // step, u // step
+    shares = moments(known.astype(np.float32), _MOMENTS)
+    number, sums = shares[_MOMENTS.index((0, 0)), row, column], [c.sum() for c in columns]
     # Within a surface all windows are the same.
     rim = np.flatnonzero(number < (1 - _ROUNDING) * sums[0] ** 2)
     inside = _products({(p, q): np.array([sums[p] * sums[q]]) for p, q in _MOMENTS})[0]
-    at_rim = _products({(p, q): moment(share, p, q)[rim] for p, q in _MOMENTS})
+    at_rim = _products(dict(zip(_MOMENTS, shares[:, row[rim], column[rim]].astype(float), strict=True)))
     # About a plane, so that float32 sums keep what is bent.
     grid_v, grid_u = np.ogrid[: known.shape[0], : known.shape[1]]
+    some = _some(known)
     per = np.array([1, 1 / _SCALE_PX, 1 / _SCALE_PX, *[2 / _SCALE_PX**2, 1 / _SCALE_PX**2, 2 / _SCALE_PX**2]])
     inverse, of_rim = np.linalg.inv(inside), np.linalg.inv(at_rim)
     fits = []
     for field in fields:
-        plane = _plane(field, known)
+        plane = _plane(field, *some)
         rest = field - (plane[0] + plane[2] * grid_v).astype(np.float32) - (plane[1] * grid_u).astype(np.float32)
         rest[~known] = 0
-        sides = np.stack([moment(rest, p, q) for p, q in _POWERS])
+        sides = moments(rest, _POWERS)[:, row, column].astype(float)
         found = inverse @ sides
         found[:, rim] = np.einsum("nij,jn->in", of_rim, sides[:, rim])
         found *= per[:, None]
@@ -248,11 +253,15 @@ def _products(moments: dict[tuple[int, int], Array]) -> Array:
     return np.asarray(M + 1e-6 * np.eye(6))
 
 
-def _plane(field: Map, known: Mask) -> Array:
+def _some(known: Mask) -> tuple[Index, Index]:
+    """Rows and columns of some of the known places."""
+    step = max(1, int(np.sqrt(np.count_nonzero(known) / 2000)))
+    v, u = np.nonzero(known[::step, ::step])
+    return v * step, u * step
+
+
+def _plane(field: Map, v: Index, u: Index) -> Array:
     """Coefficients (1, u, v) of a plane through a sample of the field."""
-    v, u = np.nonzero(known)
-    step = max(1, len(u) // 2000)
-    v, u = v[::step], u[::step]
     found, *_ = np.linalg.lstsq(np.stack([np.ones(len(u)), u, v], 1), field[v, u].astype(float), rcond=None)
     return np.asarray(found)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
 
+from planish import _core
 from planish.geometry import Array
 from planish.measurement import Map
 from planish.registration.refine.bending import filter_reach
-from planish.registration.refine.spectrum import texture_spectrum
+from planish.registration.refine.spectrum import Grid, texture_spectrum
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,9 @@ class FilteredTexture:
     reach: Array
 
 
-def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, Map] | None = None) -> FilteredTexture:
+def filter_texture(
+    value: Map, sigma: Map, shading_px: float, apart: tuple[Map, Map] | None = None, threads: int = 1
+) -> FilteredTexture:
     """Return a texture (H, W), NaN where unknown, filtered such that least squares are the most likely shift.
 
     Parameters
@@ -46,6 +48,7 @@ def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, 
         Scale of the low-pass that has been taken from the texture [px]; what it left is taken out once more.
     apart : tuple of two ndarray (H, W), optional
         What two cameras saw of it (`seen_apart`).
+    threads : int
 
     Notes
     -----
@@ -56,37 +59,40 @@ def filter_texture(value: Map, sigma: Map, shading_px: float, apart: tuple[Map, 
     """
     known = np.isfinite(value)
     shape = value.shape[0], value.shape[1]
-    size = fft.next_fast_len(shape[0], True), fft.next_fast_len(shape[1], True)
     if not known.any():
         return FilteredTexture(np.zeros(shape, np.float32), 1.0, 1.0, np.zeros((2, 2, 2, 2)))
+    grid = Grid.of(shape)
     with np.errstate(invalid="ignore", divide="ignore"):
         score = np.where(known, value / sigma, np.float32(0))
-    spectrum = texture_spectrum(score, known, size, apart)
-    fy, fx = np.fft.fftfreq(size[0])[:, None], np.fft.rfftfreq(size[1])[None]
-    shading = np.exp(-0.5 * (2 * np.pi * shading_px) ** 2 * (fy**2 + fx**2))
+    found = texture_spectrum(score, known, grid, apart, threads)
+    S, N = found.signal, found.noise
     # 2 S / (N (2 S + N)): where the noise is as stated, in units of the weight that strong textures have.
-    S, N = spectrum.signal, spectrum.noise
-    weight = 2 * S / (N * (2 * S + N)) * (1 - shading) ** 2
-    response = np.sqrt(weight).astype(np.float32)
-    filtered = fft.irfft2(fft.rfft2(np.where(known, value, np.float32(0)), size) * response, size)
-    # Of the real spectrum's columns all but the first stand for two.
-    left = weight * N
-    passed = 2 * left.sum() - left[:, 0].sum()
-    least = 1.0 / weight.size
+    weight = 2 * S / (N * (2 * S + N))
+    spectrum = grid.transform(np.where(known, value, np.float32(0)))
+    _core.weigh_spectrum(spectrum, np.sqrt(weight), grid.step, shading_px, threads)
+    fy, fx = np.fft.fftfreq(grid.cells[0])[:, None], np.fft.rfftfreq(grid.cells[1])[None]
+    shading = np.exp(-0.5 * (2 * np.pi * shading_px / grid.step) ** 2 * (fy**2 + fx**2))
+    weight = weight * (1 - shading) ** 2
+    passed, least = _sum(weight * N) / (grid.cells[0] * grid.cells[1]), 1.0 / weight.size
     return FilteredTexture(
-        filtered[: shape[0], : shape[1]].astype(np.float32),
-        max(float(passed) / (size[0] * size[1]), least),
-        _pixels_per_value((S + N) * weight, size),
+        grid.inverse(spectrum)[: shape[0], : shape[1]],
+        max(passed, least),
+        _pixels_per_value((S + N) * weight, grid),
         # The contrast is what the low-pass of the shading left, taken twice.
-        filter_reach(response * (1 - shading) ** 2, S * weight, size, shading_px),
+        filter_reach(np.sqrt(weight) * (1 - shading) ** 2, S * weight, grid.cells, shading_px),
     )
 
 
-def _pixels_per_value(power: Array, size: tuple[int, int]) -> float:
-    """Return sum of squares over square of the sum of a power spectrum (h, w // 2 + 1), times its frequencies.
+def _sum(half: Array) -> float:
+    """Sum over the whole spectrum of what stands at half of it: all columns but the first and last stand for two."""
+    return float(2 * half.sum() - half[:, 0].sum() - half[:, -1].sum())
+
+
+def _pixels_per_value(power: Array, grid: Grid) -> float:
+    """Return sum of squares over square of the sum of a power spectrum at cells, times its frequencies.
 
     The variance of the correlation of two unrelated textures of this spectrum is so many times that of white ones
     (Bartlett 1935); of different spectra at most the geometric mean of both numbers (Cauchy-Schwarz), however turned.
     """
-    first, second = (2 * (power**k).sum() - (power[:, 0] ** k).sum() for k in (1, 2))
-    return max(float(second / first**2) * size[0] * size[1], 1.0) if first > 0 else 1.0
+    first, second = _sum(power), _sum(power**2)
+    return max(second / first**2 * grid.cells[0] * grid.cells[1], 1.0) if first > 0 else 1.0

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from planish.geometry import Array, transform_points
+from planish.geometry import Array
 from planish.measurement import Measurement
+from planish.registration.seen import nearest_pixels
 
 #: Every n-th pixel along both axes.
 _STRIDE = 8
@@ -40,11 +41,6 @@ def overlap_axes(a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: 
 
 
 def _common_points(a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: float) -> Array:
-    points_b = b.points_sensor[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(float)
-    points = np.asarray(transform_points(T_a_b, points_b[np.isfinite(points_b[:, 2])]), float)
-    pixels = np.rint(a.camera.project(points))
-    height, width = a.shape
-    inside = ((pixels >= 0) & (pixels < [width, height])).all(1)
-    u, v = pixels[inside].astype(int).T
-    near = np.linalg.norm(a.points_sensor[v, u] - points[inside], axis=1) < max_distance_mm
-    return np.asarray(points[inside][near])
+    _, of_a, points = nearest_pixels(a, b, T_a_b, _STRIDE)
+    near = np.linalg.norm(a.points_sensor.reshape(-1, 3)[of_a] - points, axis=1) < max_distance_mm
+    return points[near]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -16,6 +16,7 @@ from planish.options import thread_count
 from planish.registration.refine.bending import displacement, moved_back
 from planish.registration.refine.blur import height_by_blur
 from planish.registration.refine.filtering import filter_texture
+from planish.registration.refine.smoothing import smooth_map
 from planish.registration.refine.spectrum import seen_apart
 from planish.registration.surface import Surface
 from planish.registration.tiles import held_out, tile_size_px
@@ -29,9 +30,17 @@ _THINNED_PER_VALUE = 2 * np.pi * _BEFORE_THINNING**2
 #: Where the low-pass of the shading had less than this share of its window, the rim of the part or a shadow is near,
 #: and slow shading was left in the texture.
 _INSIDE = 0.9
+#: Every so many pixels tell what a whole window holds.
+_SPARSE = 4
 #: Variance of the images' blur and its standard deviation [px^2]: a pixel's aperture alone has 1 / 12, optics that
 #: suit it about as much as 0.4.
 _BLUR, _BLUR_SIGMA = 0.3, 0.15
+#: Reach of the Gaussian before thinning, in standard deviations.
+_REACH = 4.0
+#: A pixel and its four neighbours.
+_CROSS = np.array([[0, 1, 0], [1, 1, 1], [0, 1, 0]], np.uint8)
+#: What the kernel takes for a texture that tells its slopes itself.
+_NO_SLOPES = np.empty((0, 0, 2), np.float32)
 
 
 @dataclass(frozen=True)
@@ -109,47 +118,85 @@ def joint_sides(
     gsd = measurement.sample_distance_mm
     shading_px = shading_mm / gsd if np.isfinite(gsd) else 1.0
     value, sigma = contrast
-    known = np.isfinite(value)
+    known, count = np.isfinite(value), thread_count(threads)
     inside = known & _inside(measurement.valid, known, shading_px)
-    filtered = filter_texture(value, sigma, shading_px, seen_apart(measurement, inside, sigma, shading_px))
-    fine = moved_back(filtered.value, displacement(surface.tangents_sensor, filtered.reach))
-    by_blur, by_spline = height_by_blur(measurement, surface)
+    filtered = filter_texture(value, sigma, shading_px, seen_apart(measurement, inside, sigma, shading_px), count)
     # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
+    by_blur, by_spline = height_by_blur(measurement, surface, count)
     points = np.ascontiguousarray(measurement.points_sensor - by_spline[..., None] * surface.normals_sensor, np.float32)
+    fine = moved_back(filtered.value, displacement(surface.tangents_sensor, filtered.reach))
+    beside = cv2.erode(inside.view(np.uint8), _CROSS, borderValue=0).view(np.bool_)
     sides = {}
     for n in spacings_px:
         # Coarse levels must lead here from afar: there the texture is as it is, its slow changes the strongest.
-        level = fine if n == 1 else smooth_texture(value, known, _BEFORE_THINNING * n)
-        level = np.where(inside, level, np.float32(np.nan))
-        maps = (points, measurement.sigma_mm, surface.normals_sensor, surface.tangents_sensor, by_blur, level, sigma)
+        if n == 1:
+            level, slopes = np.where(inside, fine, np.float32(np.nan)), _NO_SLOPES
+        else:
+            level, slopes = thinned_texture(value, known, _BEFORE_THINNING * n, n, count)
+            level[~inside[::n, ::n]] = np.nan
+            slopes[~beside[::n, ::n]] = np.nan
+        maps = points, measurement.sigma_mm, surface.normals_sensor, surface.tangents_sensor, by_blur, sigma
         values = _core.joint_values(
-            maps, measurement.camera.center_sensor, _BLUR, _BLUR_SIGMA, n, thread_count(threads)
+            maps, level, slopes, measurement.camera.center_sensor, _BLUR, _BLUR_SIGMA, n, count
         )  # fmt: skip
         camera = measurement.camera.kernel_parameters.copy()
         camera[:5] /= n
         use = np.ones(values.shape[:2], np.uint8)
         of_filter = filtered.noise_passed, filtered.pixels_per_value
         smoothed = _THINNED_NOISE, max(filtered.pixels_per_value / n**2, _THINNED_PER_VALUE)
-        sides[n] = JointSide(
-            camera, n, values, np.ascontiguousarray(level[::n, ::n]), use, *(of_filter if n == 1 else smoothed)
-        )
+        sides[n] = JointSide(camera, n, values, level, use, *(of_filter if n == 1 else smoothed))
     return sides
 
 
-def smooth_texture(value: Map, known: NDArray[np.bool_], sigma_px: float) -> Map:
-    """Gaussian smoothing over known pixels (normalised convolution); NaN stays NaN."""
-    blur: Callable[[Map], Map] = lambda image: cv2.GaussianBlur(  # noqa: E731
-        image, (0, 0), sigma_px, borderType=cv2.BORDER_CONSTANT
+def thinned_texture(
+    value: Map, known: NDArray[np.bool_], sigma_px: float, step_px: int, threads: int = 1
+) -> tuple[Map, Map]:
+    """Gaussian averages of known pixels (normalised convolution) around every n-th pixel, and their slopes.
+
+    Parameters
+    ----------
+    value : ndarray (H, W)
+    known : ndarray (H, W) bool
+    sigma_px : float
+        Standard deviation of the Gaussian.
+    step_px : int
+        n.
+    threads : int
+
+    Returns
+    -------
+    smooth : ndarray (h, w) float32
+        NaN where `value` is unknown.
+    slopes : ndarray (h, w, 2) float32
+        Change of `smooth` per pixel along u and v.
+    """
+    reach = int(np.ceil(_REACH * sigma_px))
+    at = np.arange(-reach, reach + 1)
+    bell = np.exp(-0.5 * (at / sigma_px) ** 2)
+    bell /= bell.sum()
+    # The derivative of an average is the average under the derivative of the bell.
+    taps = [bell.tolist(), (bell * at / sigma_px**2).tolist()]
+    shape = (-(-value.shape[0] // step_px), -(-value.shape[1] // step_px))
+    filled, seen = np.where(known, value, np.float32(0)), known.astype(np.float32)
+    total, weight = (
+        _core.window_moments(image, taps, [(0, 0), (1, 0), (0, 1)], step_px, shape, threads) for image in (filled, seen)
     )
-    density = blur(known.astype(np.float32))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        smooth = blur(np.where(known, value, np.float32(0))) / density
-    return np.where(known, smooth, np.float32(np.nan))
+    weight[0][~known[::step_px, ::step_px]] = np.nan
+    smooth = total[0] / weight[0]
+    slopes = np.stack(
+        [
+            (of_total - smooth * of_weight) / weight[0]
+            for of_total, of_weight in zip(total[1:], weight[1:], strict=True)
+        ],
+        -1,
+    )
+    return smooth, slopes
 
 
 def _inside(valid: NDArray[np.bool_], known: NDArray[np.bool_], shading_px: float) -> NDArray[np.bool_]:
     """Where the low-pass saw nearly as much of the surface as it does anywhere (a narrow strip is all rim)."""
-    density = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), shading_px, borderType=cv2.BORDER_CONSTANT)
     if not known.any():
         return known
-    return np.asarray(density > _INSIDE * np.quantile(density[known], 0.9))
+    density = smooth_map(valid.astype(np.float32), shading_px, shading_px)
+    some = density[::_SPARSE, ::_SPARSE][known[::_SPARSE, ::_SPARSE]]
+    return np.asarray(density > _INSIDE * np.quantile(some, 0.9)) if some.size else known

@@ -5,30 +5,39 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from planish import _core
 from planish.measurement import Map
 
-#: Samples per standard deviation: linear interpolation between them errs by less than 1 / (8 * 4^2) of what is smooth.
-_SAMPLES = 4
+#: Samples per standard deviation at least: linear interpolation between them errs by less than 1 / (8 * 2^2) of what
+#: is smooth.
+_SAMPLES = 2
+#: Reach of the Gaussian, in standard deviations.
+_REACH = 4.0
 
 
 def smooth_map(image: Map, rows_px: float, columns_px: float) -> Map:
     """Return the Gaussian average of an image (H, W) with these standard deviations along both axes; 0 lies outside.
 
-    Each sample stands for a square of pixels. What the square and the interpolation between samples add to the
-    variance is taken from the Gaussian's.
+    What the interpolation between samples adds to the variance is taken from the Gaussian's.
     """
     height, width = image.shape
-    step = max(1, int(min(rows_px, columns_px) / _SAMPLES))
+    fewest = int(min(rows_px, columns_px) / _SAMPLES)
+    # An odd number, so that samples lie on pixels.
+    step = max(1, fewest - (fewest + 1) % 2)
     if step == 1:
         return cv2.GaussianBlur(image, (0, 0), columns_px, sigmaY=rows_px, borderType=cv2.BORDER_CONSTANT)
-    # A square more on all sides: the rim, too, lies between samples.
-    below, right = (step + -n % step for n in image.shape)
-    whole = cv2.copyMakeBorder(image, step, below, step, right, cv2.BORDER_CONSTANT, value=0.0)
-    size = whole.shape[1] // step, whole.shape[0] // step
-    # A square has a variance of (step^2 - 1) / 12, the triangle of the interpolation of (step^2 - 1) / 6.
-    added = (step**2 - 1) / 4
-    rows, columns = (float(np.sqrt(sigma**2 - added)) / step for sigma in (rows_px, columns_px))
-    squares = cv2.resize(whole, size, interpolation=cv2.INTER_AREA)
-    smooth = cv2.GaussianBlur(squares, (0, 0), columns, sigmaY=rows, borderType=cv2.BORDER_CONSTANT)
-    smooth = cv2.resize(smooth, whole.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    return smooth[step : step + height, step : step + width]
+    # The triangle of the interpolation has a variance of (step^2 - 1) / 6.
+    bells = _bells([float(np.sqrt(sigma**2 - (step**2 - 1) / 6)) for sigma in (columns_px, rows_px)])
+    # The rim, too, lies between samples.
+    shape = 1 + -(-(height - 1) // step), 1 + -(-(width - 1) // step)
+    (samples,) = _core.window_moments(np.ascontiguousarray(image), bells, [(0, 1)], step, shape, 1)
+    whole = cv2.resize(samples, (shape[1] * step, shape[0] * step), interpolation=cv2.INTER_LINEAR)
+    return whole[step // 2 : step // 2 + height, step // 2 : step // 2 + width]
+
+
+def _bells(sigmas: list[float]) -> list[list[float]]:
+    """Return Gaussians of sum 1, all of one length."""
+    reach = int(np.ceil(_REACH * max(sigmas)))
+    at = np.arange(-reach, reach + 1)
+    bells = [np.exp(-0.5 * (at / sigma) ** 2) for sigma in sigmas]
+    return [(bell / bell.sum()).tolist() for bell in bells]

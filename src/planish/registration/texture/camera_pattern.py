@@ -18,6 +18,8 @@ BLOCK_PX = 4
 _VARIANCE_BLOCKS = 2.0
 #: Standard deviation of the Gaussian that parts the bands [px].
 _SPLIT_PX = 1.0
+#: It ends there.
+_SPLIT_REACH_PX = 4
 #: Share of the variance of white noise in the fine and the coarse band: |delta - g|^2 and |g|^2 of that Gaussian.
 BAND_NOISE = (1 - 2 / (2 * np.pi * _SPLIT_PX**2) + 1 / (4 * np.pi * _SPLIT_PX**2), 1 / (4 * np.pi * _SPLIT_PX**2))
 #: Pixels per independent value of white noise in each band: sum of the squared autocorrelation, exp(-d^2 / 4 s^2).
@@ -51,15 +53,18 @@ class BandPattern:
     still: Map
     gain: Map
 
-    def remove(self, value: Map, variance: Map, own: Map | None, threads: int) -> tuple[Map, Map]:
-        """Return contrast and variance (H, W) without the pattern; what stays uncertain of it is added to the variance.
+    def remove(self, band: Map, own: Map | None, rest: Map, uncertain: Map, threads: int) -> None:
+        """Take the pattern in a band (H, W) of a contrast from `rest`; `uncertain` grows by what stays uncertain of it.
 
         `own` (h, w) are the weights with which the contrast took part in the sums, None where it did not.
         """
-        return _core.remove_pattern(
-            value, variance, np.empty((0, 0), np.float32) if own is None else own, self.weighted_sum, self.weight,
-            self.prior, self.still, self.gain, BLOCK_PX, threads,
-        )  # fmt: skip
+        knowledge = self.weighted_sum, self.weight, self.prior, self.still, self.gain
+        # The bands overlap: of a white pattern they hold this share of the variance, the rest is their covariance.
+        share = 1 / sum(BAND_NOISE)
+        nothing = np.empty((0, 0), np.float32)
+        _core.remove_pattern(
+            band, nothing if own is None else own, knowledge, BLOCK_PX, share, rest, uncertain, threads
+        )
 
 
 @dataclass(frozen=True)
@@ -73,13 +78,11 @@ class CameraPattern:
 
         `counted` (h, w) tells the blocks with which the contrast took part in the estimate, None where it did not.
         """
-        rest, total = np.zeros_like(value), variance
-        for part, band in zip(split_bands(value), self.bands, strict=True):
-            own = None if counted is None else pattern_weights(*block_moments(part, threads)) * counted
-            cleaned, total = band.remove(part, total, own, threads)
-            rest += cleaned
-        # The bands overlap: of a white pattern they hold this share of the variance, the rest is their covariance.
-        return rest, variance + (total - variance) / np.float32(sum(BAND_NOISE))
+        rest, uncertain = value.copy(), variance.copy()
+        for part, band in zip(split_bands(value, threads), self.bands, strict=True):
+            own = None if counted is None else pattern_weights(part.squares, part.count) * counted
+            band.remove(part.value, own, rest, uncertain, threads)
+        return rest, uncertain
 
     def estimate(self, threads: int = 1) -> tuple[Map, Map]:
         """Return relative gain - 1 by all captures together, and its standard deviation, each (H, W)."""
@@ -103,24 +106,27 @@ class FixedPattern:
         return self.cameras[camera].remove(value, variance, counted, threads)
 
 
-def split_bands(value: Map) -> tuple[Map, Map]:
-    """Return the fine and the coarse part of a contrast (H, W); NaN stays where it is.
+@dataclass(frozen=True)
+class Band:
+    """One band of a contrast (H, W); sum of squares and number (h, w) of its known pixels per block."""
+
+    value: Map
+    squares: Map
+    count: Map
+
+
+def split_bands(value: Map, threads: int) -> tuple[Band, Band]:
+    """Return the fine and the coarse band of a contrast (H, W); NaN stays where it is.
 
     What is fixed to the pixels is white, texture comes through a lens: the fine part holds most of the pattern and
     little texture.
     """
-    known = np.isfinite(value)
-    if known.all():
-        coarse = cv2.GaussianBlur(value, (0, 0), _SPLIT_PX)
-        return value - coarse, coarse
-    filled = value.copy()
-    cv2.patchNaNs(filled, 0)
-    coarse = cv2.GaussianBlur(filled, (0, 0), _SPLIT_PX)
-    share = cv2.GaussianBlur(known.astype(np.float32), (0, 0), _SPLIT_PX)
-    # In place: whole frames of temporaries take longer than the arithmetic.
-    np.divide(coarse, np.maximum(share, np.float32(1e-6), out=share), out=coarse)
-    np.copyto(coarse, np.float32(np.nan), where=~known)
-    return value - coarse, coarse
+    at = np.arange(-_SPLIT_REACH_PX, _SPLIT_REACH_PX + 1)
+    bell = np.exp(-0.5 * (at / _SPLIT_PX) ** 2)
+    fine, coarse, fine_squares, coarse_squares, count = _core.split_bands(
+        value, (bell / bell.sum()).tolist(), BLOCK_PX, threads
+    )
+    return Band(fine, fine_squares, count), Band(coarse, coarse_squares, count)
 
 
 def block_moments(value: Map, threads: int) -> tuple[Map, Map]:

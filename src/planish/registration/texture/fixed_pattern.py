@@ -27,6 +27,7 @@ from planish.registration.texture.camera_pattern import (
     BAND_CELLS_PX,
     BAND_NOISE,
     BLOCK_PX,
+    Band,
     BandPattern,
     CameraPattern,
     FixedPattern,
@@ -98,12 +99,11 @@ class BandSums:
         """Return the sums over no captures of (H, W) pixels."""
         return cls(np.zeros(shape, np.float32), np.zeros(shape, np.float32), Moments())
 
-    def add(self, value: Map, noise: Map, counted: Map, threads: int) -> None:
-        """Add a capture's band (H, W), its noise variances and whether it counts per block (h, w)."""
-        squares, count = block_moments(value, threads)
-        weight = pattern_weights(squares, count) * counted
-        _core.add_to_pattern(value, weight, BLOCK_PX, self.weighted_sum, self.weight, threads)
-        self.moments.add(weight, squares, count, noise)
+    def add(self, band: Band, noise: Map, counted: Map, threads: int) -> None:
+        """Add a capture's band, its noise variances and whether it counts per block (h, w)."""
+        weight = pattern_weights(band.squares, band.count) * counted
+        _core.add_to_pattern(band.value, weight, BLOCK_PX, self.weighted_sum, self.weight, threads)
+        self.moments.add(weight, band.squares, band.count, noise)
 
     def merge(self, other: BandSums) -> None:
         """Add the sums over other captures."""
@@ -179,7 +179,7 @@ def _add(sums: PatternSums, measurement: Measurement, options: PhotometricOption
         seen = camera_contrast(measurement, name, lowpass, options.max_contrast)
         counted = counted_blocks(measurement, name)
         noise, _ = _core.block_sums(seen.variance, -np.inf, np.inf, EVERYWHERE, BLOCK_PX, own)
-        for band, part, share in zip(sums.cameras[name], split_bands(seen.value), BAND_NOISE, strict=True):
+        for band, part, share in zip(sums.cameras[name], split_bands(seen.value, own), BAND_NOISE, strict=True):
             band.add(part, noise * np.float32(share), counted, own)
         return seen.value, counted
 

@@ -219,7 +219,8 @@ def _accumulate(into: dict[str, Array], maps: Mapping[str, NDArray[Any]]) -> Non
 
 
 def _smooth(blocks: Array, width: float) -> Array:
-    return cv2.GaussianBlur(blocks.astype(np.float64), (0, 0), width, borderType=cv2.BORDER_CONSTANT)
+    smooth = cv2.GaussianBlur(blocks.astype(np.float32), (0, 0), width, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(smooth, float)
 
 
 def _columns(rows: NDArray[Any]) -> Array:

@@ -93,14 +93,11 @@ def local_contrast(
     seen = dict(zip(names, views, strict=True))
     levels = _on_own_blocks(measurement, seen, lowpass)
     trust = _highlight_trust([level for level, _ in levels], options.highlight_excess)
-    images = side_by_side(
-        [
-            partial(_image, measurement, name, view, room, relative, lowpass)
-            for (name, view), (_, room) in zip(seen.items(), levels, strict=True)
-        ],
-        count,
-    )
-    parts = [(*image, counted) for image, counted in zip(images, trust, strict=True)]
+    # One after the other, by rows: the camera that is read between its pixels takes several times as long.
+    parts = [
+        (*_image(measurement, name, view, room, relative, whole), counted)
+        for (name, view), (_, room), counted in zip(seen.items(), levels, trust, strict=True)
+    ]
     return _core.merge_contrasts(parts, measurement.valid.view(np.uint8), whole.factor, count)
 
 

@@ -115,13 +115,16 @@ def texture_images(
     surface: Surface,
     contrast: tuple[Map, Map],
     pitch_mm: float,
-    options: ChartOptions | None = None,
+    charts: ChartOptions | tuple[Chart, ...] | None = None,
     threads: int | None = None,
 ) -> tuple[TextureImage, ...]:
-    """Return one TextureImage per chart of the measurement; `contrast` is value and sigma from `local_contrast`."""
-    charts = plan_charts(measurement, surface, options)
+    """Return one TextureImage per chart of the measurement; `contrast` is value and sigma from `local_contrast`.
+
+    `charts` are those that have been planned, or the options to plan them by.
+    """
+    planned = charts if isinstance(charts, tuple) else plan_charts(measurement, surface, charts)
     count = thread_count(threads)
-    drawn = (_resample(measurement, surface, contrast, chart, pitch_mm, count) for chart in charts)
+    drawn = (_resample(measurement, surface, contrast, chart, pitch_mm, count) for chart in planned)
     return tuple(image for image in drawn if image is not None)
 
 

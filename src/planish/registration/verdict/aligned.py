@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -12,22 +11,34 @@ from numpy.typing import NDArray
 from planish import _core
 from planish.geometry import Array, invert
 from planish.measurement import Map, Measurement
+from planish.options import thread_count
 from planish.registration.texture.resample import TextureImage
-from planish.registration.texture.sampling import sample
 
 
 @dataclass(frozen=True)
 class Side:
-    """What the verdict needs of one measurement; `contrast` is its local contrast with standard deviation (H, W)."""
+    """What the verdict needs of one measurement.
+
+    Parameters
+    ----------
+    measurement : Measurement
+    images : tuple of TextureImage
+    contrast : tuple of two ndarray (H, W) float32
+        Its local contrast with standard deviation.
+    threads : int or None
+        How many draw it on another one's images, and transform that.
+    """
 
     measurement: Measurement
     images: tuple[TextureImage, ...]
     contrast: tuple[Map, Map]
+    threads: int | None = None
 
-    @cached_property
-    def texture(self) -> Map:
-        """The local contrast (H, W), 0 where unknown."""
-        return np.nan_to_num(self.contrast[0], nan=0.0)
+    @property
+    def maps(self) -> tuple[Map, Map, Map]:
+        """Points (H, W, 3), contrast and its standard deviation, as the kernels take them."""
+        value, sigma = (np.ascontiguousarray(x, np.float32) for x in self.contrast)
+        return np.ascontiguousarray(self.measurement.points_sensor, np.float32), value, sigma
 
 
 @dataclass(frozen=True)
@@ -76,23 +87,11 @@ def _asked(
 
 
 def _align_one(own: NDArray[np.bool_], image: TextureImage, b: Side, T_a_b: Array, gate_mm: float) -> Aligned:
-    source = _core.locate_texture(
+    source, value, sigma, common = _core.align_texture(
         image.source_px, own.view(np.uint8), image.surface.points_sensor, image.surface.normals_sensor,
-        b.measurement.camera.kernel_parameters,
-        np.ascontiguousarray(b.measurement.points_sensor, np.float32), invert(T_a_b), gate_mm, 1,
+        b.measurement.camera.kernel_parameters, *b.maps, invert(T_a_b), gate_mm, thread_count(b.threads),
     )  # fmt: skip
-    common = np.isfinite(source[..., 0])
-    at = source[common]
-    sigma_b = sample(b.contrast[1], at, nearest_outside=True)
-    known = np.isfinite(sigma_b)
-    if not known.all():
-        common[common] = known
-        source[~common] = np.nan
-        at, sigma_b = at[known], sigma_b[known]
-    value, sigma = np.zeros(own.shape, np.float32), np.zeros(own.shape, np.float32)
-    value[common] = sample(b.texture, at, nearest_outside=True)
-    sigma[common] = sigma_b
-    return Aligned(image, common, value, sigma, source)
+    return Aligned(image, common.view(np.bool_), value, sigma, source)
 
 
 def _not_yet(image: TextureImage, covered: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.geometry import Array, invert, transform_points
+from planish.geometry import Array, invert
 from planish.measurement import Measurement
+from planish.registration.seen import nearest_pixels
 
 #: Every n-th pixel along both axes.
 _STRIDE = 6
@@ -63,23 +64,15 @@ def _before(
     without_b: NDArray[np.bool_] | None,
 ) -> tuple[int, int]:
     """Count of b's points on a's surface, and before it as a's camera sees it."""
-    grid = np.s_[::_STRIDE, ::_STRIDE]
-    known = np.isfinite(b.points_sensor[grid][..., 2])
-    if without_b is not None:
-        known &= ~without_b[grid]
-    points = np.asarray(transform_points(T_a_b, b.points_sensor[grid][known].astype(float)), float)
-    sigma_b = b.sigma_mm[grid][known].astype(float)
-    pixels = np.rint(a.camera.project(points))
-    height, width = a.shape
-    with np.errstate(invalid="ignore"):
-        inside = ((pixels >= 0) & (pixels < [width, height])).all(1)
-    u, v = pixels[inside].astype(int).T
-    other = a.points_sensor[v, u].astype(float)
+    of_b, of_a, points = nearest_pixels(a, b, T_a_b, _STRIDE)
     centre = a.camera.center_sensor
-    nearer = np.linalg.norm(other - centre, axis=1) - np.linalg.norm(points[inside] - centre, axis=1)
-    gate = np.maximum(gate_mm, _SIGMAS * np.hypot(a.sigma_mm[v, u].astype(float), sigma_b[inside]))
+    other = a.points_sensor.reshape(-1, 3)[of_a].astype(float)
+    nearer = np.linalg.norm(other - centre, axis=1) - np.linalg.norm(points - centre, axis=1)
+    sigmas = (m.sigma_mm.ravel()[at].astype(float) for m, at in ((a, of_a), (b, of_b)))
+    gate = np.maximum(gate_mm, _SIGMAS * np.hypot(*sigmas))
     seen = np.isfinite(nearer)
-    if without_a is not None:
-        seen &= ~without_a[v, u]
+    for without, at in ((without_a, of_a), (without_b, of_b)):
+        if without is not None:
+            seen &= ~without.ravel()[at]
     nearer, gate = nearer[seen], gate[seen]
     return int((np.abs(nearer) <= gate).sum()), int((nearer > gate).sum())

@@ -14,6 +14,7 @@ from scipy import fft
 
 from planish.geometry import Array, fit_rigid, transform_points
 from planish.measurement import Map
+from planish.options import thread_count
 from planish.registration.verdict.aligned import Aligned, Side, align
 
 #: Rivals whose peak is lower than this share of the transform's own explain less than a window test could tell.
@@ -39,8 +40,11 @@ def rival_transforms(a: Side, b: Side, T_a_b: Array, apart_mm: float, gate_mm: f
     if chart is None or chart.common.sum() < _MIN_PLACES:
         return []
     step = max(1, -(-max(chart.common.shape) // _MAX_SIDE_PX))
+    threads = thread_count(a.threads)
     size = fft.next_fast_len(2 * -(-max(chart.common.shape) // step))
-    F_a = fft.rfft2(_drawn(_smoothed(chart.image.value, chart.image.mask, step), np.eye(2, 3) / step, size))
+    F_a = fft.rfft2(
+        _drawn(_smoothed(chart.image.value, chart.image.mask, step), np.eye(2, 3) / step, size), workers=threads
+    )
     value_b = _smoothed(chart.value_b, chart.common, step)
     reach = max(1, round(apart_mm / (chart.image.pitch_mm * step)))
     middle = np.argwhere(chart.common).mean(0)[::-1]
@@ -48,7 +52,7 @@ def rival_transforms(a: Side, b: Side, T_a_b: Array, apart_mm: float, gate_mm: f
     own = 0.0
     for quarter in range(4):
         turn = _turned(quarter, middle)
-        surface = _correlation(F_a, _drawn(value_b, turn / step, size))
+        surface = _correlation(F_a, _drawn(value_b, turn / step, size), threads)
         if quarter == 0:
             own = _taken_out(surface, 0, 0, reach)
         if own <= 0:
@@ -82,12 +86,12 @@ def _drawn(value: Map, A: Array, size: int) -> Map:
     return np.asarray(cv2.warpAffine(value, A, (size, size), flags=cv2.INTER_LINEAR), np.float32)
 
 
-def _correlation(F_a: Array, b: Map) -> Map:
+def _correlation(F_a: Array, b: Map, threads: int) -> Map:
     """Correlation over all shifts of b; half whitened, so that fine grain and coarse print both count."""
-    cross = F_a * np.conj(fft.rfft2(b))
+    cross = F_a * np.conj(fft.rfft2(b, workers=threads))
     cross /= np.sqrt(np.abs(cross)) + 1e-12
     cross[0, 0] = 0
-    return np.asarray(fft.irfft2(cross, s=b.shape), np.float32)
+    return np.asarray(fft.irfft2(cross, s=b.shape, workers=threads), np.float32)
 
 
 def _peaks(surface: Map, reach: int, lowest: float) -> list[tuple[float, tuple[int, int]]]:

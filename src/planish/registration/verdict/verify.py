@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from planish.geometry import Array
 from planish.measurement import Map
+from planish.options import thread_count
 from planish.registration.texture.sampling import parabola_vertex, sample
 from planish.registration.verdict.aligned import Aligned, Side, align
 from planish.registration.verdict.together import Together
@@ -98,7 +99,7 @@ def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | N
     if not cut:
         return _no_windows(near)
     value_a, value_b, noise = (np.concatenate([getattr(part, name) for _, part in cut]) for name in ("a", "b", "noise"))
-    surface, unrelated, richness = _correlation(value_a, value_b, noise, window, search)
+    surface, unrelated, richness = _correlation(value_a, value_b, noise, window, search, thread_count(a.threads))
     flat = surface.reshape(len(surface), -1)
     peak = np.argmax(flat, 1)
     offset_px = _refined_peak(surface, peak, search)
@@ -221,7 +222,7 @@ def _clipped(values: Map) -> Map:
     return np.asarray(np.clip(values, -limit, limit))
 
 
-def _correlation(a: Map, b: Map, noise: Array, window: int, search: int) -> tuple[Array, Array, Array]:
+def _correlation(a: Map, b: Map, noise: Array, window: int, search: int, threads: int) -> tuple[Array, Array, Array]:
     """Matched filter of n windows over their search areas (n, 2 search + 1, 2 search + 1), as a coefficient.
 
     The second of the results is that of each window of a with another one of b: they have no texture in common.
@@ -231,7 +232,7 @@ def _correlation(a: Map, b: Map, noise: Array, window: int, search: int) -> tupl
     windows serves for P, and S is what of it the known noise of the cameras does not explain.
     """
     size = a.shape[1]
-    F_a, F_b = fft.rfft2(a), fft.rfft2(b)
+    F_a, F_b = (fft.rfft2(x, workers=threads) for x in (a, b))
     power_a = _smooth((np.abs(F_a) ** 2).mean(0)) / window**2
     power_b = _smooth((np.abs(F_b) ** 2).mean(0)) / size**2
     noise_a, noise_b = noise.mean(0)
@@ -245,7 +246,7 @@ def _correlation(a: Map, b: Map, noise: Array, window: int, search: int) -> tupl
     # Shifts -search ... search: b's window begins `search` px before a's.
     index = np.arange(-search, search + 1)
     surface, unrelated = (
-        fft.irfft2(np.conj(F_a) * other * weight, s=(size, size))[:, index[:, None], index[None, :]]
+        fft.irfft2(np.conj(F_a) * other * weight, s=(size, size), workers=threads)[:, index[:, None], index[None, :]]
         for other in (F_b, np.roll(F_b, max(1, len(F_b) // 2), axis=0))
     )
     # Coefficient of the weighted textures; b's share of its whole window's energy is that of the area.
