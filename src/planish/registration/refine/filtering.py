@@ -71,7 +71,7 @@ def filter_texture(
     spectrum = grid.transform(np.where(known, value, np.float32(0)))
     _core.weigh_spectrum(spectrum, np.sqrt(weight), grid.step, shading_px, threads)
     fy, fx = np.fft.fftfreq(grid.cells[0])[:, None], np.fft.rfftfreq(grid.cells[1])[None]
-    shading = np.exp(-0.5 * (2 * np.pi * shading_px / grid.step) ** 2 * (fy**2 + fx**2))
+    shading = np.exp(-0.5 * (2 * np.pi * shading_px) ** 2 * (fy**2 + fx**2))
     weight = weight * (1 - shading) ** 2
     passed, least = _sum(weight * N) / (grid.cells[0] * grid.cells[1]), 1.0 / weight.size
     return FilteredTexture(
