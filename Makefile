@@ -40,8 +40,9 @@ $(VENV)/.dev-tools: $(VENV)/.build-tools
 
 install: $(VENV)/.installed
 
+# A file's tests share what they have rendered: one process each; every one takes threads of its own, too.
 test: $(VENV)/.installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
 
 test-slow: $(VENV)/.installed
 	$(BIN)/python -m pytest -m slow

@@ -1,18 +1,28 @@
-"""What the blur of the images does to heights: its derivatives, and where it vanishes."""
+"""What averages over pixels do to heights: derivatives, where they vanish, and the heights of a pipe."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 import sheets
+from planish.geometry import transform_points
+from planish.pipeline import measure
 from planish.registration.refine.blur import _means, _phase_shifts, _quadratic_fits, _spread, height_by_blur
 from planish.registration.surface import fit_surface
+from planish.sensing.capture.manifest import Capture
+from planish.simulation.scenes import make_scene
+from planish.simulation.texture import BLANK
+from planish.simulation.writing import write_scene
 
 #: Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 of quadratic fields about (0, 0).
 U_B, V_B = (3.0, 0.8, 0.05, 0.004, 0.001, -0.002), (5.0, -0.02, 1.1, 0.001, 0.002, 0.003)
 #: Phase and light in b's pixels about (3, 5).
 PHASE_B, LIGHT_B = (1.0, 0.3, 0.05, 0.006, -0.002, 0.004), (0.0, -0.03, 0.02, 0.0, 0.0, 0.0)
+#: Displacements that count [mm], and the share of them that may be left: the fits reach over several pixels.
+LIMB_MM, LEFT_SHARE, SPLINE_SHARE = 0.001, 0.25, 0.4
 #: Differences over this many pixels give second derivatives to 1e-7 [px].
 STEP = 1e-3
 
@@ -43,8 +53,9 @@ def test_the_shift_is_the_difference_of_both_cameras_shifts_each_in_its_own_pixe
         return derivatives(lambda u, v: quadratic(c, quadratic(U_B, u, v) - 3, quadratic(V_B, u, v) - 5))
 
     phase, light = seen_by_a(PHASE_B), seen_by_a(LIGHT_B)
-    found, slope = _phase_shifts(one_place(U_B), one_place(V_B), phase, light)
+    found, laplacian, slope = _phase_shifts(one_place(U_B), one_place(V_B), phase, light)
     assert found[0] == pytest.approx(shift(phase[:, 0], light[:, 0]) - shift(PHASE_B, LIGHT_B), abs=1e-7)
+    assert laplacian[0] == pytest.approx(PHASE_B[3] + PHASE_B[5], abs=1e-7)
     assert abs(found[0]) > 1e-3
     np.testing.assert_allclose(np.ravel(slope), PHASE_B[1:3], atol=1e-7)
 
@@ -80,4 +91,42 @@ def test_values_spread_from_the_nearest_known_one():
 
 def test_one_camera_alone_has_no_shift():
     m = sheets.quiet("a")
-    assert not height_by_blur(m, fit_surface(m)).any()
+    assert not np.any(height_by_blur(m, fit_surface(m)))
+
+
+@pytest.fixture(scope="module")
+def pipe(tmp_path_factory):
+    """A pipe as seen without noise: heights [mm] over its surface, what displaces them, and who made the points."""
+    scene = make_scene("pipe", 3, 1, scale=0.5)
+    sensor = replace(scene.sensor, noise_factor=0.0, prnu=0.0, dust=0, bits=16, samples_per_px=3)
+    scene = replace(scene, sensor=sensor, texture=BLANK, light=replace(scene.light, specular=0.0))
+    (folder,) = write_scene(scene, tmp_path_factory.mktemp("pipe"), true_points=False)
+    m = measure(Capture.load(folder), None, 2)
+    x, _, z = np.moveaxis(transform_points(scene.T_object_sensor[0], m.points_sensor.astype(float)), -1, 0)
+    radius = scene.surface.radius
+    of_both = m.valid & np.isfinite(m.correspondence_px[..., 0])
+    blur_px2 = sensor.psf_px**2 + 1 / 12
+    by_blur, by_spline = height_by_blur(m, fit_surface(m))
+    return np.hypot(x, z + radius) - radius, blur_px2 * by_blur, by_spline, of_both, m.valid & ~of_both
+
+
+def test_blur_and_spline_explain_the_heights_of_a_pipe(pipe):
+    heights, by_blur, by_spline, both, _ = pipe
+    # Where they displace by micrometres: towards the limb of either camera.
+    limb = both & (np.abs(by_blur) > LIMB_MM)
+    left = heights - by_blur - by_spline
+    assert limb.sum() > 1000
+    assert np.abs(np.median(left[limb])) < LEFT_SHARE * np.median(np.abs(heights[limb]))
+    # By how much of what the spline is said to do the heights differ without it (least squares).
+    oblique = both & (by_spline < -LIMB_MM)
+    assert oblique.sum() > 1000
+    without, spline = (heights - by_blur)[oblique], by_spline[oblique]
+    assert without @ spline / (spline @ spline) == pytest.approx(1, abs=SPLINE_SHARE)
+
+
+def test_points_of_camera_and_projector_move_by_all_that_the_phase_does(pipe):
+    heights, by_blur, by_spline, _, alone = pipe
+    assert not by_spline[alone].any()
+    limb = alone & (np.abs(by_blur) > LIMB_MM)
+    assert limb.sum() > 500
+    assert abs(np.median((heights - by_blur)[limb])) < LEFT_SHARE * np.median(np.abs(heights[limb]))

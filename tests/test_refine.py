@@ -34,6 +34,8 @@ DISTANCE_JACOBIAN_TOLERANCE = 1e-3
 TEXTURE_JACOBIAN_TOLERANCE = 0.04
 #: 1 mm and 0.3 degrees off, about the centre of the overlap.
 START = np.array([0.004, -0.003, 0.002, 0.6, -0.7, 0.4])
+#: A start beyond the first level's distance of 3 mm along the normal, and turned by 0.3 degrees [mm, rad].
+FAR_MM, FAR_TURN = 3.2, (0.003, 0.004, 0.0)
 #: float32 points carry 6e-5 mm; other sensor coordinates round them otherwise, 50,000 of them average it.
 FRAME_TOLERANCE_MM = 1e-3
 LEVER_MM = 150.0
@@ -214,6 +216,22 @@ def test_a_start_one_millimetre_off_leads_to_the_truth(bent, sign):
     # 22.5: the 99.9 % point of chi squared with six degrees of freedom.
     assert xi @ np.linalg.solve(noise_covariance(found), xi) < 22.5
     assert np.linalg.norm(xi[3:]) < 0.03
+
+
+def test_a_start_farther_off_along_the_normal_than_the_first_distance_leads_to_the_truth(bent):
+    normal = sheets.T_TRUE[:3, 2] * FAR_MM
+    found = refine_pair(*bent, perturb(sheets.T_TRUE, [*FAR_TURN, *normal], [30, 10, 0]))
+    assert found.converged
+    xi = difference(sheets.T_TRUE, found.T_a_b, found.about)
+    assert xi @ np.linalg.solve(noise_covariance(found), xi) < 22.5
+
+
+def test_only_the_first_level_of_a_start_from_afar_sees_farther():
+    options = RefineOptions()
+    turned = options.start_turn_rad * LEVER_MM
+    assert options.first_gate_mm(LEVER_MM) == pytest.approx(options.max_distance_mm[0] + np.sqrt(3) * turned)
+    near = options.starting_within(1.0, 0.33)
+    assert near.first_gate_mm(LEVER_MM) == near.max_distance_mm[0] < options.max_distance_mm[0]
 
 
 def test_the_result_does_not_depend_on_the_start(bent):

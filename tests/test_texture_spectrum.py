@@ -70,3 +70,16 @@ def test_what_one_camera_alone_saw_is_not_seen_apart():
     m = sheets.quiet("a", 0.0)
     sigma, inside = np.full(m.shape, 0.01, np.float32), m.valid
     assert seen_apart(replace(m, texture_views=m.texture_views[:1]), inside, sigma, 5.0) is None
+
+
+#: A spectrum's chance at these sizes, of what the filter passes.
+PASSED_ALIKE = 0.01
+
+
+def test_what_a_filter_passes_does_not_depend_on_how_fine_its_cells_are(rng):
+    """A low-pass of the shading of few pixels takes a large part of all frequencies."""
+    strong = 5 * rng.standard_normal((1024, 1024)).astype(np.float32)
+    small = strong[:400, :400]
+    assert [Grid.of(v.shape).step for v in (small, strong)] == [1, 2]
+    passed = [filter_texture(v, np.ones_like(v), 1.5).noise_passed for v in (small, strong)]
+    assert passed[1] == pytest.approx(passed[0], rel=PASSED_ALIKE)

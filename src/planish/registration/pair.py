@@ -20,7 +20,7 @@ from planish.registration.refine.calibration import ErrorSide, calibration_covar
 from planish.registration.refine.covariance import noise_covariance, observability
 from planish.registration.refine.fit_statistics import FitStatistics, fit_statistics
 from planish.registration.refine.kept_out import Agreement, agreement
-from planish.registration.refine.overlap import overlap_axes, overlap_extent
+from planish.registration.refine.overlap import overlap_axes, overlap_extent, rms_radius
 from planish.registration.refine.solve import Refined, refine
 from planish.registration.result import Direction, PairResult
 from planish.registration.tiles import ground_sample_distance, tile_size_px
@@ -193,13 +193,14 @@ def refine_pair(
     `without` (H, W) of a and of b are pixels that take no part. The start is not farther off than `within_mm`.
     """
     options = options or PairOptions()
-    extent = overlap_extent(a.measurement, b.measurement, T_a_b, max(options.refine.max_distance_mm))
+    steps = options.refine.starting_within(within_mm, ground_sample_distance(b.measurement))
+    farthest = max(*options.refine.max_distance_mm, steps.first_gate_mm(rms_radius(b.measurement)))
+    extent = overlap_extent(a.measurement, b.measurement, T_a_b, farthest)
     if extent is None:
         return None
     centre, radius = extent
     tile = tile_size_px(b.measurement)
     sides_a, sides_b = leave_out(a.fit_sides, without[0]), leave_out(b.sides, without[1])
-    steps = options.refine.starting_within(within_mm, ground_sample_distance(b.measurement))
     return refine(sides_a, sides_b, T_a_b, centre, radius, tile, steps, threads)
 
 

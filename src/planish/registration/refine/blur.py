@@ -8,7 +8,9 @@ obliquely than the other, they do not.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import product
+from typing import Self
 
 import cv2
 import numpy as np
@@ -17,11 +19,17 @@ from numpy.typing import NDArray
 from planish import _core
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
-from planish.registration.surface import Surface
+from planish.registration.surface import Surface, SurfaceOptions
+from planish.rig import Camera
 
 Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
+#: Variance of the cubic B-spline through which the correspondence reads the other camera's positions, along each axis
+#: [px^2]: that of the sum of four uniform distributions of 1 px.
+_SPLINE = 4 / 12
+#: Slope against another camera's rays from which on it does not see one surface: that of `SurfaceOptions`.
+_MAX_SLOPE = SurfaceOptions().max_slope
 #: Edge of the squares of pixels whose means the fits see: a mean over a square adds a constant to a quadratic field.
 _BIN_PX = 2
 #: Scale of the local fits (standard deviation of the window), and distance of the places where they are made [px].
@@ -38,48 +46,130 @@ _ROUNDING = 1e-5
 _MIN_SHARE = 0.15
 
 
-def height_by_blur(measurement: Measurement, surface: Surface, threads: int = 1) -> Map:
-    """Return by how much a blur of variance 1 px^2 displaces each point along its normal (H, W) [mm]; 0 where unknown.
+def height_by_blur(measurement: Measurement, surface: Surface, threads: int = 1) -> tuple[Map, Map]:
+    """Return by how much averages over the images' neighbourhoods displace each point along its normal (H, W) [mm].
 
-    Points of two cameras by fringes or Gray code; the blur is the same in both, and small against what bends.
+    First per 1 px^2 of the variance of the cameras' blur, which is the same in both, and small against what bends; then
+    by the spline that reads the other camera's positions between its pixels. Points by fringes or Gray code; 0 where
+    unknown. By the spline NaN where the other camera sees the surface so obliquely that its pixels, and those that the
+    spline needs beside them, see the limb: points are off there by more than their noise and any derivative tell.
 
     Notes
     -----
     To the first order in its variance s, a blur changes the phase of a fringe image of modulation B by
     s (grad phi . grad ln B + laplacian phi / 2). Of two cameras the correspondence shifts by the difference of both,
-    each in its own pixels, over the slope of the phase along the epipolar line.
+    each in its own pixels, over the slope of the phase along the epipolar line. The spline averages the phases
+    themselves, without the light, in the other camera alone. A point of camera and projector moves by all that the
+    camera's phase does.
     """
-    nothing = np.zeros(measurement.shape, np.float32)
-    other = measurement.rig.other(measurement.organised_on)
+    by_blur, by_spline = np.zeros((2, *measurement.shape), np.float32)
     view = measurement.views.get(measurement.organised_on)
     light = None if view is None else view.modulation if view.modulation is not None else view.mean
-    in_b, position = measurement.correspondence_px, measurement.position_px
-    if other is None or other not in measurement.rig.cameras or in_b is None or position is None or light is None:
-        return nothing
-    normals = surface.normals_sensor
-    known = np.isfinite(position) & np.isfinite(in_b[..., 0]) & np.isfinite(normals[..., 2]) & (light > 0)
-    fields = [_means(f) for f in (in_b[..., 0], in_b[..., 1], np.where(known, position, np.nan), light)]
-    whole = np.isfinite(fields[2])
-    step = _STEP_PX // _BIN_PX
-    thinned = whole[::step, ::step]
-    rows, columns = (index * step for index in np.nonzero(thinned))
-    if len(rows) == 0:
-        return nothing
-    fields[3] = np.log(np.where(whole, fields[3], np.float32(1)))
-    fits, enough = _quadratic_fits(fields, whole, rows, columns, threads)
-    v, u = rows * _BIN_PX, columns * _BIN_PX
-    with np.errstate(all="ignore"):
-        shift, by_b = _phase_shifts(*fits)
-        points = measurement.points_sensor[v, u].astype(float)
-        rays = points - measurement.camera.center_sensor
+    position, in_b = measurement.position_px, measurement.correspondence_px
+    if position is None or light is None:
+        return by_blur, by_spline
+    rig, centre = measurement.rig, measurement.camera.center_sensor
+    maps = measurement.points_sensor, surface.normals_sensor
+    known = np.isfinite(position) & np.isfinite(maps[1][..., 2]) & (light > 0)
+    alone, other = known, rig.other(measurement.organised_on)
+    if other in rig.cameras and in_b is not None:
+        seen = known & np.isfinite(in_b[..., 0])
+        places = _Places.of(maps[0], maps[1], centre, seen)
+        fits, enough = places.fits([in_b[..., 0], in_b[..., 1], position, light], threads)
+        with np.errstate(all="ignore"):
+            shift, laplacian, by_b = _phase_shifts(*fits)
+            per_mm = places.motion(rig.cameras[other])
+            slope = by_b[0] * per_mm[:, 0] + by_b[1] * per_mm[:, 1]
+            by_blur, by_spline = (places.spread(x / slope, enough) for x in (shift, -_SPLINE * laplacian / 2))
+        by_spline[places.near(places.grazed_by(rig.cameras[other]))] = np.nan
+        alone = known & ~seen
+    if rig.projector is not None and measurement.projector_weights is not None and alone.any():
+        # Neighbours that the other camera sees too tell how light and positions bend.
+        part = _around(alone)
+        places = _Places.of(maps[0][part], maps[1][part], centre, known[part])
+        (phase, ln_light), enough = places.fits([position[part], light[part]], threads)
+        with np.errstate(all="ignore"):
+            per_mm = places.motion(rig.projector)[:, int(np.argmax(measurement.projector_weights))]
+            of_part = places.spread(_phase_shift(phase, ln_light) / per_mm, enough)
+        by_blur[part] = np.where(alone[part], of_part, by_blur[part])
+    return by_blur, by_spline
+
+
+def _around(mask: Mask) -> tuple[slice, slice]:
+    """Return rows and columns that hold all of a mask and the windows of the fits around it."""
+    margin = int(np.ceil(_REACH * _SCALE_PX)) + _STEP_PX
+    out = []
+    for axis in (1, 0):
+        of_mask = np.flatnonzero(mask.any(axis))
+        out.append(slice(max(of_mask[0] - margin, 0), of_mask[-1] + 1 + margin))
+    return out[0], out[1]
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Every few pixels within `known` (H, W), where local fits are made: rows and columns of `whole`, the means.
+
+    Points and normals (H, W, 3) are those of the same pixels, `centre` is where their rays start.
+    """
+
+    points: Map
+    normals: Map
+    centre: Array
+    known: Mask
+    whole: Mask
+    rows: Index
+    columns: Index
+
+    @classmethod
+    def of(cls, points: Map, normals: Map, centre: Array, known: Mask) -> Self:
+        """Return the places within what is known."""
+        whole = np.isfinite(_means(np.where(known, np.float32(0), np.float32(np.nan))))
+        step = _STEP_PX // _BIN_PX
+        rows, columns = (index * step for index in np.nonzero(whole[::step, ::step]))
+        return cls(points, normals, centre, known, whole, rows, columns)
+
+    def fits(self, fields: list[Map], threads: int) -> tuple[list[Array], Mask]:
+        """Fits (6, n) to the fields (H, W), of the last one's logarithm, and where there are enough pixels for them."""
+        means = [_means(np.where(self.known, f, np.float32(np.nan))) for f in fields]
+        means[-1] = np.log(np.where(self.whole, means[-1], np.float32(1)))
+        return _quadratic_fits(means, self.whole, self.rows, self.columns, threads)
+
+    @property
+    def _pixels(self) -> tuple[Index, Index]:
+        return self.rows * _BIN_PX, self.columns * _BIN_PX
+
+    def _rays(self) -> tuple[Array, Array]:
+        points = self.points[self._pixels].astype(float)
+        rays = points - self.centre
+        return points, rays / np.sqrt(np.einsum("ni,ni->n", rays, rays))[:, None]
+
+    def motion(self, device: Camera) -> Array:
+        """Motion (n, 2) of the places' points in another device as they move by 1 mm along their rays [px]."""
+        points, rays = self._rays()
+        return np.asarray(device.project(points + rays) - device.project(points))
+
+    def grazed_by(self, device: Camera) -> Mask:
+        """Which places (n) a device sees too obliquely."""
+        points, _ = self._rays()
+        rays = points - device.center_sensor
         rays /= np.sqrt(np.einsum("ni,ni->n", rays, rays))[:, None]
-        camera = measurement.rig.cameras[other]
-        per_mm = camera.project(points + rays) - camera.project(points)
-        slope = by_b[0] * per_mm[:, 0] + by_b[1] * per_mm[:, 1]
-        height = shift / slope * np.einsum("ni,ni->n", rays, normals[v, u])
-    sparse = np.full(thinned.shape, np.nan, np.float32)
-    sparse[thinned] = np.where(enough & np.isfinite(height), height, np.nan)
-    return np.where(known, _spread(sparse, measurement.shape), np.float32(0))
+        cosines = -np.einsum("ni,ni->n", rays, self.normals[self._pixels])
+        return np.asarray(cosines < 1 / np.hypot(1, _MAX_SLOPE))
+
+    def near(self, chosen: Mask) -> Mask:
+        """Pixels (H, W) within `known` that are nearer to the chosen places (n) than to others."""
+        return self.known & (self._all_over(chosen.astype(float), np.ones_like(chosen)) > 0.5)
+
+    def spread(self, along_ray_mm: Array, use: Mask) -> Map:
+        """Displacement along the normals (H, W), from those of the places (n) along their rays; 0 where unknown."""
+        height = along_ray_mm * np.einsum("ni,ni->n", self._rays()[1], self.normals[self._pixels])
+        return np.where(self.known, self._all_over(height, use), np.float32(0))
+
+    def _all_over(self, values: Array, use: Mask) -> Map:
+        step = _STEP_PX // _BIN_PX
+        sparse = np.full(self.whole[::step, ::step].shape, np.nan, np.float32)
+        sparse[self.rows // step, self.columns // step] = np.where(use & np.isfinite(values), values, np.nan)
+        return _spread(sparse, self.known.shape)
 
 
 def _means(field: Map) -> Map:
@@ -89,12 +179,12 @@ def _means(field: Map) -> Map:
     return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
 
 
-def _phase_shifts(u_b: Array, v_b: Array, phase: Array, light: Array) -> tuple[Array, tuple[Array, Array]]:
-    """Shift of a's phase less that of b's (n), and slopes of the phase per pixel of b (n) along u and v.
+def _phase_shifts(u_b: Array, v_b: Array, phase: Array, light: Array) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Shift of a's phase less that of b's, its Laplacian in b's pixels (n), its slopes there (n) along u and v.
 
     From fits (6, n): value, two slopes, three second derivatives.
     """
-    own = phase[1] * light[1] + phase[2] * light[2] + (phase[3] + phase[5]) / 2
+    own = _phase_shift(phase, light)
     # From a's pixels to b's lead [[p, q], [r, s]]; from b's to a's the inverse, its columns a step along u and along v.
     p, q, r, s = u_b[1], u_b[2], v_b[1], v_b[2]
     determinant = p * s - q * r
@@ -105,10 +195,16 @@ def _phase_shifts(u_b: Array, v_b: Array, phase: Array, light: Array) -> tuple[A
     # Chain rule of second derivatives: H_a = J' H_b J + sum of the slopes times the map's own second derivatives.
     bent = phase[3:] - slope[0] * u_b[3:] - slope[1] * v_b[3:]
     laplacian = sum(x * x * bent[0] + 2 * x * y * bent[1] + y * y * bent[2] for x, y in (along_u, along_v))
-    return np.asarray(own - slope[0] * slope_light[0] - slope[1] * slope_light[1] - laplacian / 2), slope
+    own -= slope[0] * slope_light[0] + slope[1] * slope_light[1] + laplacian / 2
+    return np.asarray(own), np.asarray(laplacian), slope
 
 
-def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index, threads: int = 1) -> tuple[list[Array], Array]:
+def _phase_shift(phase: Array, light: Array) -> Array:
+    """Shift of the phase (n) by a blur of 1 px^2, from fits (6, n) to it and to the logarithm of the light."""
+    return np.asarray(phase[1] * light[1] + phase[2] * light[2] + (phase[3] + phase[5]) / 2)
+
+
+def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index, threads: int = 1) -> tuple[list[Array], Mask]:
     """Value, d/du, d/dv, d2/du2, d2/dudv, d2/dv2 (6, n) of each field at places (n), by weighted least squares.
 
     Fields and places are those of means (`_means`), each of a place's indices a multiple of what lies between them;
@@ -145,7 +241,7 @@ def _quadratic_fits(fields: list[Map], known: Mask, v: Index, u: Index, threads:
         found *= per[:, None]
         found[1:3] += plane[1:, None] / _BIN_PX
         fits.append(found)
-    return fits, number > _MIN_SHARE * sums[0] ** 2
+    return fits, np.asarray(number > _MIN_SHARE * sums[0] ** 2)
 
 
 def _products(moments: dict[tuple[int, int], Array]) -> Array:

@@ -9,6 +9,7 @@ import numpy as np
 from planish import _core
 from planish.geometry import Array
 from planish.measurement import Map
+from planish.registration.refine.bending import filter_reach
 from planish.registration.refine.spectrum import Grid, texture_spectrum
 
 
@@ -24,11 +25,14 @@ class FilteredTexture:
         Variance of what the filter leaves of the noise, over its stated variance.
     pixels_per_value : float
         Pixels per independent value: that of a correlation with a texture of the same spectrum, by Bartlett's formula.
+    reach : ndarray (2, 2, 2, 2)
+        How far the filter and the low-pass before it reach (`filter_reach`) [px^2].
     """
 
     value: Map
     noise_passed: float
     pixels_per_value: float
+    reach: Array
 
 
 def filter_texture(
@@ -56,7 +60,7 @@ def filter_texture(
     known = np.isfinite(value)
     shape = value.shape[0], value.shape[1]
     if not known.any():
-        return FilteredTexture(np.zeros(shape, np.float32), 1.0, 1.0)
+        return FilteredTexture(np.zeros(shape, np.float32), 1.0, 1.0, np.zeros((2, 2, 2, 2)))
     grid = Grid.of(shape)
     with np.errstate(invalid="ignore", divide="ignore"):
         score = np.where(known, value / sigma, np.float32(0))
@@ -67,11 +71,15 @@ def filter_texture(
     spectrum = grid.transform(np.where(known, value, np.float32(0)))
     _core.weigh_spectrum(spectrum, np.sqrt(weight), grid.step, shading_px, threads)
     fy, fx = np.fft.fftfreq(grid.cells[0])[:, None], np.fft.rfftfreq(grid.cells[1])[None]
-    shading = np.exp(-0.5 * (2 * np.pi * shading_px / grid.step) ** 2 * (fy**2 + fx**2))
+    shading = np.exp(-0.5 * (2 * np.pi * shading_px) ** 2 * (fy**2 + fx**2))
     weight = weight * (1 - shading) ** 2
     passed, least = _sum(weight * N) / (grid.cells[0] * grid.cells[1]), 1.0 / weight.size
     return FilteredTexture(
-        grid.inverse(spectrum)[: shape[0], : shape[1]], max(passed, least), _pixels_per_value((S + N) * weight, grid)
+        grid.inverse(spectrum)[: shape[0], : shape[1]],
+        max(passed, least),
+        _pixels_per_value((S + N) * weight, grid),
+        # The contrast is what the low-pass of the shading left, taken twice.
+        filter_reach(np.sqrt(weight) * (1 - shading) ** 2, S * weight, grid.cells, shading_px),
     )
 
 

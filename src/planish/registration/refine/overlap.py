@@ -25,6 +25,13 @@ def overlap_extent(
     return centre, float(np.sqrt(((common - centre) ** 2).sum(1).mean()))
 
 
+def rms_radius(measurement: Measurement) -> float:
+    """Return the root mean square distance of a measurement's points from their middle [mm], 0 where it has none."""
+    points = measurement.points_sensor[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(float)
+    known = points[np.isfinite(points[:, 2])]
+    return float(np.sqrt(((known - known.mean(0)) ** 2).sum(1).mean())) if len(known) else 0.0
+
+
 def overlap_axes(a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: float = 2.0) -> Array:
     """Return the axes of the common surface in frame a (columns): its length, its width, its normal."""
     common = _common_points(a, b, T_a_b, max_distance_mm)

@@ -13,6 +13,7 @@ from planish import _core
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import thread_count
+from planish.registration.refine.bending import displacement, moved_back
 from planish.registration.refine.blur import height_by_blur
 from planish.registration.refine.filtering import filter_texture
 from planish.registration.refine.smoothing import smooth_map
@@ -121,14 +122,15 @@ def joint_sides(
     inside = known & _inside(measurement.valid, known, shading_px)
     filtered = filter_texture(value, sigma, shading_px, seen_apart(measurement, inside, sigma, shading_px), count)
     # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
-    points = np.ascontiguousarray(measurement.points_sensor, np.float32)
-    by_blur = height_by_blur(measurement, surface, count)
+    by_blur, by_spline = height_by_blur(measurement, surface, count)
+    points = np.ascontiguousarray(measurement.points_sensor - by_spline[..., None] * surface.normals_sensor, np.float32)
+    fine = moved_back(filtered.value, displacement(surface.tangents_sensor, filtered.reach))
     beside = cv2.erode(inside.view(np.uint8), _CROSS, borderValue=0).view(np.bool_)
     sides = {}
     for n in spacings_px:
         # Coarse levels must lead here from afar: there the texture is as it is, its slow changes the strongest.
         if n == 1:
-            level, slopes = np.where(inside, filtered.value, np.float32(np.nan)), _NO_SLOPES
+            level, slopes = np.where(inside, fine, np.float32(np.nan)), _NO_SLOPES
         else:
             level, slopes = thinned_texture(value, known, _BEFORE_THINNING * n, n, count)
             level[~inside[::n, ::n]] = np.nan

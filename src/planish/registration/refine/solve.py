@@ -23,8 +23,10 @@ class RefineOptions(Options):
 
     #: Every n-th pixel per level, coarse to fine; what these cannot hold is averaged away before.
     spacing_px: tuple[PositiveInt, ...] = (8, 4, 2, 1)
-    #: Surfaces farther apart than this do not belong together, per level [mm].
+    #: Surfaces farther apart than this do not belong together, per level [mm]; a start may be off by the first.
     max_distance_mm: tuple[PositiveFloat, ...] = (3.0, 2.0, 1.0, 1.0)
+    #: By so much a start may be turned: at the rim of the overlap the surfaces lie farther apart by that [rad].
+    start_turn_rad: float = Field(default=float(np.deg2rad(0.5)), ge=0, lt=0.1)
     #: Largest angle between the normals of the two surfaces [rad].
     max_normal_rad: float = Field(default=0.35, gt=0, lt=1.5)
     #: Most steps per level.
@@ -47,9 +49,18 @@ class RefineOptions(Options):
         """
         reach = [n * gsd_mm >= distance_mm for n in self.spacing_px]
         first = max([i for i, enough in enumerate(reach) if enough], default=0)
-        return self.model_copy(
-            update={"spacing_px": self.spacing_px[first:], "max_distance_mm": self.max_distance_mm[first:]}
-        )
+        of_levels = {"spacing_px": self.spacing_px[first:], "max_distance_mm": self.max_distance_mm[first:]}
+        # No point is off by more: whatever turn there is, is counted.
+        turn = {"start_turn_rad": 0.0} if np.isfinite(distance_mm) else {}
+        return self.model_copy(update=of_levels | turn)
+
+    def first_gate_mm(self, lever_mm: float) -> float:
+        """Return how far apart the surfaces of an overlap of this root mean square radius may lie at a start [mm]."""
+        return self.max_distance_mm[0] + self.start_turn_rad * _RIM * lever_mm
+
+
+#: The farthest point of a strip, in root mean square distances of its points from the middle; of a disc it is nearer.
+_RIM = float(np.sqrt(3))
 
 
 @dataclass(frozen=True)
@@ -93,7 +104,8 @@ def refine(
     options = options or RefineOptions()
     problem = _Problem(np.asarray(about), lever_mm, tile_px, options, thread_count(threads))
     found: Refined | None = None
-    for spacing, max_distance in zip(options.spacing_px, options.max_distance_mm, strict=True):
+    gates = (options.first_gate_mm(lever_mm), *options.max_distance_mm[1:])
+    for spacing, max_distance in zip(options.spacing_px, gates, strict=True):
         level = problem.solve(sides_a[spacing], sides_b[spacing], T_a_b, max_distance)
         if level is not None:
             found, T_a_b = level, level.T_a_b
