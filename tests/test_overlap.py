@@ -185,11 +185,39 @@ def test_distances_equal_those_of_the_twin(flat):
 
 def test_medians_of_cells_equal_those_of_the_twin():
     rng = np.random.default_rng(4)
-    values = rng.standard_normal((53, 41)).astype(np.float32)
+    # Rounded, so that some are equal.
+    values = rng.standard_normal((53, 41)).round(1).astype(np.float32)
     values[rng.random(values.shape) < 0.4] = np.nan
     for size, least in ((6, 18), (5, 1), (60, 3)):
         expected = reference.cell_medians(values, size, least)
         assert np.allclose(_core.cell_medians(values, size, least, 2), expected, equal_nan=True, atol=1e-6)
+
+
+def test_areas_of_pixels_are_those_of_the_twin(bent):
+    tangents = bent[0].surface.tangents_sensor.copy()
+    tangents[3:5] = np.nan
+    found, expected = _core.pixel_areas(tangents, 2), reference.pixel_areas(tangents.astype(float))
+    assert np.allclose(found, expected, rtol=1e-5, atol=0)
+    assert not found[3:5].any()
+
+
+def test_sums_of_known_distances_are_those_of_the_twin_for_any_number_of_threads(bent):
+    areas, rng = bent[0].areas_mm2, np.random.default_rng(4)
+    distances = rng.normal(0, 0.1, areas.shape).astype(np.float32)
+    distances[rng.random(areas.shape) < 0.3] = np.nan
+    found = _core.known_distances(distances, areas, 1)
+    assert np.allclose(found, reference.known_distances(distances, areas), rtol=1e-9)
+    assert found == _core.known_distances(distances, areas, 3)
+    with pytest.raises(ValueError, match="differ in size"):
+        _core.known_distances(distances, areas[1:], 1)
+
+
+def test_what_lies_behind_or_beside_the_camera_has_no_distance(bent):
+    a, b = bent
+    for turn in (np.diag([-1.0, 1, -1, 1]), np.diag([1.0, -1, -1, 1])):
+        assert np.isnan(signed_distances(a, b, turn @ T_TRUE)[0]).all()
+    beside = perturb(T_TRUE, [0, 0, 0, 5e3, 0, 0], [0, 0, 0])
+    assert np.isnan(signed_distances(a, b, beside)[0]).all()
 
 
 def test_tile_shifts_solve_the_equations_of_the_twin(bent, monkeypatch):

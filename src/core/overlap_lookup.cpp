@@ -41,30 +41,6 @@ bool weigh(double coordinate, int size, Weight& out) {
 
 using Vector = Eigen::Vector3d;
 
-/// Three values in double precision.
-Vector vector_of(const float* at) { return {at[0], at[1], at[2]}; }
-
-/// Distance of x (frame of a) from the surface of a between four pixels, or NaN.
-double distance_at(const OrganisedSurface& a, const Weight& u, const Weight& v, const Vector& x, const Vector& normal_b,
-                   double max_distance) {
-    constexpr double NONE = std::numeric_limits<double>::quiet_NaN();
-    const Vector n = vector_of(a.normals.at(v.first + (v.f > 0.5), u.first + (u.f > 0.5)));
-    // Compare with "not greater" so that a missing normal of b (NaN) does not exclude the point.
-    if (!(n.x() == n.x()) || n.dot(normal_b) < 0) return NONE;
-    // Where one weight is 0, its pixel may lie outside, or be unknown: the other one stands for it.
-    const std::ptrdiff_t right = u.f > 0 ? 3 : 0, down = v.f > 0 ? std::ptrdiff_t{3} * a.points.width : 0;
-    const float* q = a.points.at(v.first, u.first);
-    const double along = n.dot(x);
-    const std::array<double, 4> d{along - n.dot(vector_of(q)), along - n.dot(vector_of(q + right)),
-                                  along - n.dot(vector_of(q + down)), along - n.dot(vector_of(q + down + right))};
-    const double sum = (1 - v.f) * ((1 - u.f) * d[0] + u.f * d[1]) + v.f * ((1 - u.f) * d[2] + u.f * d[3]);
-    const double largest = std::max(std::max(d[0], d[1]), std::max(d[2], d[3])),
-                 smallest = std::min(std::min(d[0], d[1]), std::min(d[2], d[3]));
-    // Neighbours on two layers: there is no surface between them.
-    if (!(std::abs(sum) <= max_distance) || largest - smallest > max_distance) return NONE;
-    return sum;
-}
-
 /// Values that the compiler takes at once.
 constexpr int LANES = 8;
 /// Up to so many values, ranks by comparing each with all others are found sooner than by sorting, which branches.
@@ -100,6 +76,17 @@ struct Ahead {
     int count = 0;
     std::array<int, kAhead> columns{};
     Places places;
+};
+
+using Values = std::array<float, kAhead>;
+
+/// Points that lie in a's image, value by value: with their normals, and what a has there.
+struct Pairs {
+    int count = 0;
+    std::array<int, kAhead> columns{}, from{};
+    std::array<double, kAhead> right{}, down{};  ///< how far behind the first of four pixels of a
+    std::array<Values, 3> point{}, normal_b{}, normal_a{};
+    std::array<std::array<Values, 3>, 4> corners{};
 };
 
 struct Problem {
@@ -150,21 +137,78 @@ struct Problem {
         }
     }
 
-    void compare(const Ahead& ahead, int v, float* distances, float* pixels) const {
+    /// Collects what the points that lie in a's image are compared by.
+    void collect(const Ahead& ahead, int v, Pairs& out) const {
         const float *points = b.points.row(v), *normals = b.normals.row(v);
         const Places& p = ahead.places;
+        int count = 0;
         for (int i = 0; i < ahead.count; ++i) {
             Weight at_u{}, at_v{};
             if (!(p.z[i] > 0 && weigh(p.u[i], a.points.width, at_u) && weigh(p.v[i], a.points.height, at_v))) continue;
-            const int u = ahead.columns[i];
-            const std::ptrdiff_t at = std::ptrdiff_t{3} * u;
-            const Vector x = R * vector_of(points + at) + t, normal = R * vector_of(normals + at);
-            const double distance = distance_at(a, at_u, at_v, x, normal, max_distance);
-            if (!(distance == distance)) continue;
-            distances[u] = static_cast<float>(distance);
-            if (!pixels) continue;
-            pixels[std::ptrdiff_t{2} * u] = static_cast<float>(p.u[i]);
-            pixels[std::ptrdiff_t{2} * u + 1] = static_cast<float>(p.v[i]);
+            const std::ptrdiff_t at = std::ptrdiff_t{3} * ahead.columns[i];
+            // Where one weight is 0, its pixel may lie outside, or be unknown: the other one stands for it.
+            const std::ptrdiff_t right = at_u.f > 0 ? 3 : 0, down = at_v.f > 0 ? std::ptrdiff_t{3} * a.points.width : 0;
+            const float *q = a.points.at(at_v.first, at_u.first),
+                        *n = a.normals.at(at_v.first + (at_v.f > 0.5), at_u.first + (at_u.f > 0.5));
+            out.columns[count] = ahead.columns[i];
+            out.from[count] = i;
+            out.right[count] = at_u.f;
+            out.down[count] = at_v.f;
+            for (int c = 0; c < 3; ++c) {
+                out.point[c][count] = points[at + c];
+                out.normal_b[c][count] = normals[at + c];
+                out.normal_a[c][count] = n[c];
+                out.corners[0][c][count] = q[c];
+                out.corners[1][c][count] = q[right + c];
+                out.corners[2][c][count] = q[down + c];
+                out.corners[3][c][count] = q[down + right + c];
+            }
+            ++count;
+        }
+        out.count = count;
+    }
+
+    /// Distances of points from the surface of a between four pixels, or NaN.
+    [[nodiscard]] std::array<double, kAhead> distances_of(const Pairs& p) const {
+        const Eigen::Matrix3d M = R;
+        const Vector s = t;
+        const double limit = max_distance;
+        std::array<double, kAhead> out;
+        for (int i = 0; i < kAhead; ++i) {
+            const double n0 = p.normal_a[0][i], n1 = p.normal_a[1][i], n2 = p.normal_a[2][i];
+            const auto along = [&](double x, double y, double z) { return n0 * x + n1 * y + n2 * z; };
+            const auto turned = [&](int row, const std::array<Values, 3>& x) {
+                return M(row, 0) * x[0][i] + M(row, 1) * x[1][i] + M(row, 2) * x[2][i];
+            };
+            const auto corner = [&](const std::array<Values, 3>& q) { return along(q[0][i], q[1][i], q[2][i]); };
+            const double facing = along(turned(0, p.normal_b), turned(1, p.normal_b), turned(2, p.normal_b));
+            const double level = along(turned(0, p.point) + s[0], turned(1, p.point) + s[1], turned(2, p.point) + s[2]);
+            const double d0 = level - corner(p.corners[0]), d1 = level - corner(p.corners[1]),
+                         d2 = level - corner(p.corners[2]), d3 = level - corner(p.corners[3]);
+            const double right = p.right[i], down = p.down[i];
+            const double sum = (1 - down) * ((1 - right) * d0 + right * d1) + down * ((1 - right) * d2 + right * d3);
+            const double most_1 = d0 > d1 ? d0 : d1, most_2 = d2 > d3 ? d2 : d3;
+            const double least_1 = d0 < d1 ? d0 : d1, least_2 = d2 < d3 ? d2 : d3;
+            const double spread = (most_1 > most_2 ? most_1 : most_2) - (least_1 < least_2 ? least_1 : least_2);
+            // Neighbours on two layers: there is no surface between them. Of `facing` compare with "not less", so that
+            // a missing normal of b (NaN) does not exclude the point.
+            const bool met = (std::abs(sum) <= limit) & !(spread > limit) & !(facing < 0);
+            out[i] = met ? sum : std::numeric_limits<double>::quiet_NaN();
+        }
+        return out;
+    }
+
+    void compare(const Ahead& ahead, int v, Pairs& pairs, float* distances, float* pixels) const {
+        if (ahead.count == 0) return;
+        collect(ahead, v, pairs);
+        if (pairs.count == 0) return;
+        const auto found = distances_of(pairs);
+        for (int i = 0; i < pairs.count; ++i) {
+            const int u = pairs.columns[i];
+            distances[u] = static_cast<float>(found[i]);
+            if (!pixels || !(found[i] == found[i])) continue;
+            pixels[std::ptrdiff_t{2} * u] = static_cast<float>(ahead.places.u[pairs.from[i]]);
+            pixels[std::ptrdiff_t{2} * u + 1] = static_cast<float>(ahead.places.v[pairs.from[i]]);
         }
     }
 };
@@ -180,12 +224,13 @@ void look_up_distance(const OrganisedSurface& a, const OrganisedSurface& b, cons
         float *out = distances.row(v), *out_pixels = pixels.empty() ? nullptr : pixels.row(v);
         // While some are compared, memory answers what was asked for by the next.
         std::array<Ahead, 2> ahead;
+        Pairs pairs;
         int turn = 0;
         for (int next = first; next < end; turn = 1 - turn) {
             problem.take(b.points.row(v), next, end, ahead[turn]);
-            problem.compare(ahead[1 - turn], v, out, out_pixels);
+            problem.compare(ahead[1 - turn], v, pairs, out, out_pixels);
         }
-        problem.compare(ahead[1 - turn], v, out, out_pixels);
+        problem.compare(ahead[1 - turn], v, pairs, out, out_pixels);
     };
     parallel_tasks(static_cast<std::size_t>((height + BLOCK_PX - 1) / BLOCK_PX), threads, [&](std::size_t row) {
         const int top = static_cast<int>(row) * BLOCK_PX, bottom = std::min(height, top + BLOCK_PX);

@@ -84,3 +84,13 @@ def tile_residual(value_a, value_b, sigma_a, sigma_b, pixels_b, row, size, shift
     G, d, w = np.array(G), np.array(d), np.array(w)
     G, d = G - w @ G / w.sum(), d - w @ d / w.sum()
     return (G * w[:, None]).T @ d, (G * w[:, None]).T @ G
+
+
+def pixel_areas(tangents):
+    areas = np.linalg.norm(np.cross(tangents[..., :3], tangents[..., 3:]), axis=-1)
+    return np.nan_to_num(areas, nan=0.0)
+
+
+def known_distances(distances, areas):
+    known = np.isfinite(distances)
+    return known.sum(), (distances[known].astype(float) ** 2).sum(), areas[known].sum(dtype=float)
