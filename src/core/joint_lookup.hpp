@@ -232,7 +232,6 @@ struct JointPair {
             prefetch(p);
             prefetch(p + 2 * joint::channels - 1);
         }
-        for (int row = -1; row < 3; ++row) prefetch(a.texture.at(m.cell.v + row, m.cell.u));
     }
 };
 
