@@ -225,7 +225,7 @@ struct JointPair {
         return out;
     }
 
-    /// Asks for what `compare` reads of a.
+    /// Asks for the values that `compare` reads of a; of its texture, neighbours read the same lines.
     void prefetch_around(const Meeting& m) const {
         for (int row = 0; row < 2; ++row) {
             const float* p = a.values.at(m.cell.v + row, m.cell.u);
