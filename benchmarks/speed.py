@@ -2,10 +2,11 @@
 
     python benchmarks/speed.py
 
-Five captures of the door at full resolution. What `planish measure` and `planish register` do, files to files, in one
-process, files in the page cache, nothing kept from run to run. All parts take turns, run after run, so that whatever
-else the machine does meets all of them; each figure is the median of the runs. Beside the time on the clock stands the
-processor time of all threads together, which other work on the machine changes less.
+Five captures of the door at full resolution. What `planish measure` and `planish register` do, files to files, and the
+floor beside it, each in a process of its own that has done nothing before (its start and imports do not count), files
+in the page cache. Both take turns, so that whatever else the machine does meets both; each figure is the median of the
+runs. Beside the time on the clock stands the processor time of all threads together, which other work on the machine
+changes less.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from multiprocessing import get_context
 from pathlib import Path
 from statistics import median
 from time import perf_counter, process_time
@@ -22,10 +25,9 @@ import cv2
 import numpy as np
 
 from planish.execution.executor import Threads
-from planish.execution.recent import RECENT
 from planish.measurement import Measurement
 from planish.options import thread_count
-from planish.pipeline import FileRun, measure, register_files
+from planish.pipeline import measure, register_files
 from planish.pipeline.reporting import report_files
 from planish.sensing.capture.manifest import Capture
 from planish.simulation.render import render_capture
@@ -80,68 +82,63 @@ class Stages:
         return {stage: end - at for (stage, at), end in zip(self.began, ends, strict=True)}
 
 
-@dataclass(frozen=True)
-class Job:
-    """The captures in files, and where what is made of them goes."""
+class Stopwatch:
+    """Times of what is done one after the other."""
 
-    captures: Sequence[Capture]
-    folder: Path
-    executor: Threads
-    threads: int
+    def __init__(self) -> None:
+        self.seconds: dict[str, Seconds] = {}
+        self._start = now()
 
-    def read(self) -> None:
-        """Read all images."""
-        for capture in self.captures:
-            for camera in capture.cameras:
-                capture.read_images(camera, self.threads)
-
-    def measure(self) -> list[Path]:
-        """Measure captures and write them, as `planish measure` does."""
-        files = []
-        for capture in self.captures:
-            measurement = measure(capture, threads=self.threads)
-            files.append(self.folder / f"{measurement.name}.h5")
-            measurement.save(files[-1])
-        return files
-
-    def register(self, files: Sequence[Path], say: Callable[[str, int, int, int], None]) -> tuple[FileRun, Path]:
-        """Register files as `planish register` does, with nothing there yet; return the run and its folder."""
-        RECENT.clear()
-        out = Path(tempfile.mkdtemp(dir=self.folder))
-        return register_files(files, out, executor=self.executor, progress=say), out
+    def stop(self, what: str) -> None:
+        """Take the time since the start, or since the last stop."""
+        at = now()
+        self.seconds[what], self._start = at - self._start, at
 
 
-def find_sift(textures: Sequence[np.ndarray]) -> None:
-    """Find what OpenCV's SIFT finds in each texture."""
+def floor_run(manifests: Sequence[Path], textures_file: Path, threads: int) -> dict[str, Seconds]:
+    """Return how long it takes to read all images, and to find what OpenCV's SIFT finds in each texture."""
+    cv2.setNumThreads(threads)
+    captures, textures = [Capture.load(f) for f in manifests], np.load(textures_file)
+    watch = Stopwatch()
+    for capture in captures:
+        for camera in capture.cameras:
+            capture.read_images(camera, threads)
+    watch.stop(READ)
     for texture in textures:
         cv2.SIFT.create().detectAndCompute(texture, None)
+    watch.stop(SIFT)
+    return watch.seconds
 
 
-def one_run(job: Job, textures: Sequence[np.ndarray]) -> dict[str, Seconds]:
-    """Return how long everything took, once."""
-    seconds: dict[str, Seconds] = {}
+def measure_all(manifests: Sequence[Path], folder: Path, threads: int) -> list[Path]:
+    """Measure captures and write them, as `planish measure` does; return the files."""
+    files = []
+    for manifest in manifests:
+        measurement = measure(Capture.load(manifest), threads=threads)
+        files.append(folder / f"{measurement.name}.h5")
+        measurement.save(files[-1])
+    return files
 
-    def timed(what: str, start: Seconds) -> None:
-        seconds[what] = now() - start
 
-    cv2.setNumThreads(job.threads)
-    start = now()
-    job.read()
-    timed(READ, start)
-    start = now()
-    find_sift(textures)
-    timed(SIFT, start)
-    start = now()
-    files = job.measure()
-    timed(MEASURE, start)
-    stages, start = Stages(), now()
-    run, out = job.register(files, stages.say)
-    timed(REGISTER, start)
-    seconds |= stages.seconds(now())
-    start = now()
-    report_files(run, out, job.executor)
-    timed(REPORT, start)
-    return seconds
+def job_run(manifests: Sequence[Path], folder: Path, threads: int) -> dict[str, Seconds]:
+    """Return how long `planish measure` and `planish register` take, the latter with nothing there yet."""
+    cv2.setNumThreads(threads)
+    watch, stages = Stopwatch(), Stages()
+    files = measure_all(manifests, folder, threads)
+    watch.stop(MEASURE)
+    with tempfile.TemporaryDirectory(dir=folder) as out, Threads(threads) as executor:
+        run = register_files(files, Path(out), executor=executor, progress=stages.say)
+        watch.stop(REGISTER)
+        seconds = stages.seconds(now())
+        report_files(run, Path(out), executor)
+        watch.stop(REPORT)
+    return watch.seconds | seconds
+
+
+def alone(function: Callable[..., dict[str, Seconds]], *arguments: object) -> dict[str, Seconds]:
+    """Return what a function returns in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(function, *arguments).result()
 
 
 def medians(runs: Sequence[dict[str, Seconds]]) -> dict[str, Seconds]:
@@ -176,21 +173,23 @@ def table(rendering: float, seconds: dict[str, Seconds]) -> list[dict[str, objec
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--runs", type=int, default=5)
     runs = parser.parse_args().runs
     threads = thread_count()
     scene = make_scene("door", 1)
-    with tempfile.TemporaryDirectory() as folder, Threads(threads) as executor:
-        captures = [Capture.load(f) for f in write_scene(scene, Path(folder), true_points=False)]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        manifests = write_scene(scene, folder, true_points=False)
         start = now()
         render_capture(scene, 0, threads)
         rendering = (now() - start).clock
-        job = Job(captures, Path(folder), executor, threads)
-        measurements = [Measurement.load(file) for file in job.measure()]
-        textures = [np.clip(np.nan_to_num(m.views["A"].mean), 0, 255).astype(np.uint8) for m in measurements]
-        del measurements
-        # The first run does not count: libraries start their threads, memory is asked for.
-        seconds = medians([one_run(job, textures) for _ in range(runs + 1)][1:])
+        means = [Measurement.load(file).views["A"].mean for file in measure_all(manifests, folder, threads)]
+        np.save(folder / "textures.npy", np.clip(np.nan_to_num(np.stack(means)), 0, 255).astype(np.uint8))
+        del means
+        seconds = medians([
+            alone(floor_run, manifests, folder / "textures.npy", threads) | alone(job_run, manifests, folder, threads)
+            for _ in range(runs)
+        ])  # fmt: skip
     rows = table(rendering, seconds)
     columns = {
         "what": "stage", "seconds": "clock [s]", "ratio": "over the floor", "processor": "processors [s]",
