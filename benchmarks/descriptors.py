@@ -32,6 +32,7 @@ from planish.registration.consensus import ConsensusOptions, count_places
 from planish.registration.keypoints.detect import KeypointOptions
 from planish.registration.scales import common_gsd, common_pitch, length_factor
 from planish.registration.surface import fit_surface
+from planish.registration.texture.charts import plan_charts
 from planish.registration.texture.fixed_pattern import estimate_fixed_patterns
 from planish.registration.texture.photometric import local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
@@ -107,7 +108,7 @@ def load_pair(group: Group, surface: str, seed: int, keep: Path | None) -> Pair:
     for m in (a, b):
         fitted = fit_surface(m)
         contrast = local_contrast(m, None, fitted, fixed.get(m.name))
-        images.append(texture_images(m, fitted, contrast, pitch))
+        images.append(texture_images(m, fitted, contrast, pitch, plan_charts(m, fitted)))
     T = invert(scene.T_object_sensor[0]) @ scene.T_object_sensor[1]
     return Pair(images[0], images[1], T, length_factor(common_gsd([a, b])))
 

@@ -30,6 +30,7 @@ from planish.registration.pair import register_pair
 from planish.registration.prepared import draw_on_surface, prepare
 from planish.registration.scales import common_gsd, common_pitch, length_factor
 from planish.registration.surface import fit_surface
+from planish.registration.texture.charts import plan_charts
 from planish.registration.texture.photometric import local_contrast
 from planish.registration.texture.resample import TextureImage, texture_images
 from planish.simulation.scenes import make_scene
@@ -85,7 +86,9 @@ def main() -> None:
     options, pitch = options.scaled(length_factor(common_gsd([a, b]))), common_pitch([a, b])
     surface = fit_surface(a, options.surface, 1)
     contrast_s, contrast = timed(lambda: local_contrast(a, options.photometric, surface, threads=1), runs, process_time)
-    drawing_s, images = timed(lambda: texture_images(a, surface, contrast, pitch, options.charts), runs, process_time)
+    drawing_s, images = timed(
+        lambda: texture_images(a, surface, contrast, pitch, plan_charts(a, surface, options.charts)), runs, process_time
+    )
     keypoints_s, _ = timed(lambda: detect_keypoints(images, options.keypoints), runs, process_time)
     greys = [grey_image(image) for image in images]
     sift = cv2.SIFT.create(KEYPOINTS, contrastThreshold=SIFT_CONTRAST)

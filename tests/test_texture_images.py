@@ -14,6 +14,7 @@ from planish import _core
 from planish.geometry import exp_se3
 from planish.measurement import View
 from planish.registration.surface import fit_surface
+from planish.registration.texture.charts import plan_charts
 from planish.registration.texture.photometric import PhotometricOptions, local_contrast
 from planish.registration.texture.resample import texture_images
 from planish.rig import Rig
@@ -29,7 +30,8 @@ PIXEL_TOLERANCE = 5e-3
 
 
 def images(m):
-    return texture_images(m, fit_surface(m), local_contrast(m), sheets.PITCH_MM)
+    surface = fit_surface(m)
+    return texture_images(m, surface, local_contrast(m), sheets.PITCH_MM, plan_charts(m, surface))
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +87,8 @@ def test_a_tiny_chart_is_rastered_as_defined():
 def test_the_kernels_give_the_same_bytes_for_any_number_of_threads():
     m = sheets.quiet("a")
     surface = fit_surface(m)
-    drawn = [texture_images(m, surface, local_contrast(m), sheets.PITCH_MM, threads=n)[0] for n in (1, 3)]
+    charts = plan_charts(m, surface)
+    drawn = [texture_images(m, surface, local_contrast(m), sheets.PITCH_MM, charts, n)[0] for n in (1, 3)]
     for name in ("value", "sigma", "mask", "source_px"):
         one, other = (getattr(image, name) for image in drawn)
         assert one.tobytes() == other.tobytes(), name
@@ -111,7 +114,8 @@ def test_the_stated_sigma_of_a_texture_image_is_the_scatter_of_its_values(pitch_
     seen = [seen_by_two(plate, seed) for seed in range(10)]
     # A low-pass as wide against the pixels as it is at half resolution: the noise it takes with it is no part of sigma.
     options = PhotometricOptions(shading_mm=4 * plate.sample_distance_mm)
-    drawn = [texture_images(m, surface, local_contrast(m, options, surface), pitch)[0] for m in seen]
+    charts = plan_charts(plate, surface)
+    drawn = [texture_images(m, surface, local_contrast(m, options, surface), pitch, charts)[0] for m in seen]
     inner = cv2.erode(drawn[0].mask.astype(np.uint8), np.ones((15, 15))) > 0
     scatter = np.var([i.value[inner] for i in drawn], axis=0, ddof=1).mean()
     stated = np.mean([i.sigma[inner] ** 2 for i in drawn])

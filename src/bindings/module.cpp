@@ -39,7 +39,7 @@ void keep_memory(bool keep) {
     mallopt(M_TRIM_THRESHOLD, keep ? kEverything : kTrimmed);
     // What one thread has freed serves all others.
     mallopt(M_ARENA_MAX, keep ? 1 : 0);
-    if (!keep) malloc_trim(0);
+    if (!keep) release_memory();
 #else
     static_cast<void>(keep);
 #endif

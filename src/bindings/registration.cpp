@@ -10,6 +10,7 @@
 #include "core/chart.hpp"
 #include "core/consensus.hpp"
 #include "core/joint.hpp"
+#include "core/joint_lookup.hpp"
 #include "core/joint_pull.hpp"
 #include "core/joint_samples.hpp"
 #include "core/match.hpp"
@@ -357,6 +358,7 @@ void bind_registration(nb::module_& m) {
     m.def("chart_surface", &chart_surface, "source"_a, "points"_a, "normals"_a, "nodes"_a, "step"_a, "threads"_a);
     m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
           "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
+    m.attr("TUKEY") = planish::kTukey;
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
           "options"_a, "weights"_a, "with_residuals"_a, "threads"_a);
     m.def("align_texture", &align_texture, "places"_a, "own"_a, "points_a"_a, "normals_a"_a, "camera_b"_a, "points_b"_a,

@@ -251,36 +251,22 @@ struct Problem : JointPair {
     void keep(const Batch& batch, int first, const Residuals& found, const Image<float>& map) const;
 };
 
-/// All pixels of a tile: they lie close together in a, too, whichever way it is turned.
+/// All pixels of a tile.
 void Problem::add_tile(int top, int left, const TileWeight* weights, JointSums& sums, Matrix62& gradients,
                        std::array<double, 4>& sizes, Shading& shading, Batch& batch) const {
     if (weights[0].weight == 0 && weights[1].weight == 0) return;
     TileSums tile;
     batch.count = 0;
     bool met = false;
-    const int bottom = std::min(b.values.height, top + o.tile), right = std::min(b.values.width, left + o.tile);
-    // While some are compared, memory answers what was asked for by the next.
-    std::array<std::array<Meeting, kAhead>, 2> found;
-    int waiting = 0, turn = 0;
-    const auto compare_waiting = [&] {
-        for (int i = 0; i < waiting; ++i) {
-            Meeting& m = found[turn][i];
-            look_up(m);
-            if (!(std::fabs(m.distance) <= o.max_distance)) continue;
-            batch.add(m, b.values.at(m.v, m.u), cubic(a.texture, m.cell), *b.texture.at(m.v, m.u));
-            met = true;
-            if (batch.count < kBatch) continue;
-            add(batch, weights, tile);
-            batch.count = 0;
-        }
-    };
-    for (Cursor next(top, left, bottom, right); !next.done();) {
-        const int coming = find(next, found[1 - turn]);
-        compare_waiting();
-        waiting = coming;
-        turn = 1 - turn;
-    }
-    compare_waiting();
+    each_meeting(top, left, [&](Meeting& m) {
+        look_up(m);
+        if (!(std::fabs(m.distance) <= o.max_distance)) return;
+        batch.add(m, b.values.at(m.v, m.u), cubic(a.texture, m.cell), *b.texture.at(m.v, m.u));
+        met = true;
+        if (batch.count < kBatch) return;
+        add(batch, weights, tile);
+        batch.count = 0;
+    });
     if (!met) return;
     add(batch, weights, tile);
     tile.distance.add_to(sums.distance, sums.H_distance_unbiased, gradients, 0, &sizes[0]);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <array>
 #include <cmath>
 
@@ -139,6 +140,25 @@ struct JointPair {
             ++met;
         }
         return met;
+    }
+
+    /// Calls `use_one` with the pixels of a tile of b that can be compared. They lie close together in a, too,
+    /// whichever way it is turned; while some are used, memory answers what was asked for by the next.
+    template <class Use>
+    void each_meeting(int top, int left, Use use_one) const {
+        const int bottom = std::min(b.values.height, top + o.tile), right = std::min(b.values.width, left + o.tile);
+        std::array<std::array<Meeting, kAhead>, 2> found;
+        int waiting = 0, turn = 0;
+        const auto use_waiting = [&] {
+            for (int i = 0; i < waiting; ++i) use_one(found[turn][i]);
+        };
+        for (Cursor next(top, left, bottom, right); !next.done();) {
+            const int coming = find(next, found[1 - turn]);
+            use_waiting();
+            waiting = coming;
+            turn = 1 - turn;
+        }
+        use_waiting();
     }
 
     /// The surface between four pixels: half way between the chord through their points, which cuts a curved surface

@@ -17,20 +17,7 @@ struct Problem : JointPair {
 };
 
 void Problem::add_tile(int top, int left, std::array<double, 4>& sizes, std::vector<TextureSample>& textures) const {
-    const int bottom = std::min(b.values.height, top + o.tile), right = std::min(b.values.width, left + o.tile);
-    // While some are compared, memory answers what was asked for by the next.
-    std::array<std::array<Meeting, kAhead>, 2> found;
-    int waiting = 0, turn = 0;
-    const auto add_waiting = [&] {
-        for (int i = 0; i < waiting; ++i) add(found[turn][i], sizes, textures);
-    };
-    for (Cursor next(top, left, bottom, right); !next.done();) {
-        const int coming = find(next, found[1 - turn]);
-        add_waiting();
-        waiting = coming;
-        turn = 1 - turn;
-    }
-    add_waiting();
+    each_meeting(top, left, [&](Meeting& m) { add(m, sizes, textures); });
 }
 
 void Problem::add(Meeting& m, std::array<double, 4>& sizes, std::vector<TextureSample>& textures) const {

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from planish.geometry import Array, perturb, transform_points
 from planish.registration.network.relations import GIVEN_FRAME, Relation
+from planish.registration.refine.residuals import TUKEY
 
 #: Points whose nearest surface point lies farther off beside them than this many pitches look past the surface's rim.
 _BESIDE_PITCHES = 1.5
@@ -19,8 +20,6 @@ _BESIDE_PITCHES = 1.5
 _TILE_MM = 10.0
 #: Directions whose standard deviation at the measurement's rim is more than this are held by nothing [mm].
 _HELD_MM = 2.0
-#: Tukey's biweight, 95 % efficient for normal errors.
-_TUKEY = 4.685
 #: Least number of tiles that make a statement.
 _LEAST_TILES = 12
 
@@ -106,7 +105,7 @@ def surface_hold(surface: FixedSurface, points: Array, T_given: Array) -> Surfac
     if len(tiles) < _LEAST_TILES:
         return None
     spread = max(1.4826 * float(np.median(np.abs(distance))), _FLOOR_MM)
-    weights = np.clip(1 - (distance / (_TUKEY * spread)) ** 2, 0, None) ** 2 / counts[tile.ravel()] / spread**2
+    weights = np.clip(1 - (distance / (TUKEY * spread)) ** 2, 0, None) ** 2 / counts[tile.ravel()] / spread**2
     point = here.mean(0)
     J = np.column_stack([np.cross(here - point, normals), normals])
     radius = float(np.sqrt(np.mean(np.sum((here - point) ** 2, 1))))

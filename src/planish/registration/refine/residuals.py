@@ -79,8 +79,8 @@ class TileSums:
 PER_MEAN_ABSOLUTE = float(np.sqrt(np.pi / 2))
 #: The scale of all tiles counts in each as much as so many of its own residuals.
 PRIOR = 50.0
-#: Tukey's biweight is 0 from so many scales on, as in the kernels.
-TUKEY = 4.685
+#: Tukey's biweight is 0 from so many scales on.
+TUKEY = _core.TUKEY
 #: Smallest scale, where there is no noise at all.
 _LEAST_SCALE = 1e-3
 

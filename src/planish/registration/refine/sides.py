@@ -19,6 +19,7 @@ from planish.registration.refine.filtering import filter_texture
 from planish.registration.refine.smoothing import smooth_map
 from planish.registration.refine.spectrum import seen_apart
 from planish.registration.surface import Surface
+from planish.registration.texture.lowpass import bell
 from planish.registration.tiles import held_out, tile_size_px
 
 #: Standard deviation of the Gaussian before every n-th pixel is taken, in parts of n: what aliases is below 1 %.
@@ -171,11 +172,9 @@ def thinned_texture(
         Change of `smooth` per pixel along u and v.
     """
     reach = int(np.ceil(_REACH * sigma_px))
-    at = np.arange(-reach, reach + 1)
-    bell = np.exp(-0.5 * (at / sigma_px) ** 2)
-    bell /= bell.sum()
+    weights = bell(sigma_px, reach)
     # The derivative of an average is the average under the derivative of the bell.
-    taps = [bell.tolist(), (bell * at / sigma_px**2).tolist()]
+    taps = [weights.tolist(), (weights * np.arange(-reach, reach + 1) / sigma_px**2).tolist()]
     shape = (-(-value.shape[0] // step_px), -(-value.shape[1] // step_px))
     filled, seen = np.where(known, value, np.float32(0)), known.astype(np.float32)
     total, weight = (

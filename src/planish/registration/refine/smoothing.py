@@ -7,6 +7,7 @@ import numpy as np
 
 from planish import _core
 from planish.measurement import Map
+from planish.registration.texture.lowpass import bell
 
 #: Samples per standard deviation at least: linear interpolation between them errs by less than 1 / (8 * 2^2) of what
 #: is smooth.
@@ -27,17 +28,11 @@ def smooth_map(image: Map, rows_px: float, columns_px: float) -> Map:
     if step == 1:
         return cv2.GaussianBlur(image, (0, 0), columns_px, sigmaY=rows_px, borderType=cv2.BORDER_CONSTANT)
     # The triangle of the interpolation has a variance of (step^2 - 1) / 6.
-    bells = _bells([float(np.sqrt(sigma**2 - (step**2 - 1) / 6)) for sigma in (columns_px, rows_px)])
+    sigmas = [float(np.sqrt(sigma**2 - (step**2 - 1) / 6)) for sigma in (columns_px, rows_px)]
+    reach = int(np.ceil(_REACH * max(sigmas)))
+    bells = [bell(sigma, reach).tolist() for sigma in sigmas]
     # The rim, too, lies between samples.
     shape = 1 + -(-(height - 1) // step), 1 + -(-(width - 1) // step)
     (samples,) = _core.window_moments(np.ascontiguousarray(image), bells, [(0, 1)], step, shape, 1)
     whole = cv2.resize(samples, (shape[1] * step, shape[0] * step), interpolation=cv2.INTER_LINEAR)
     return whole[step // 2 : step // 2 + height, step // 2 : step // 2 + width]
-
-
-def _bells(sigmas: list[float]) -> list[list[float]]:
-    """Return Gaussians of sum 1, all of one length."""
-    reach = int(np.ceil(_REACH * max(sigmas)))
-    at = np.arange(-reach, reach + 1)
-    bells = [np.exp(-0.5 * (at / sigma) ** 2) for sigma in sigmas]
-    return [(bell / bell.sum()).tolist() for bell in bells]

@@ -10,7 +10,7 @@ import numpy as np
 
 from planish import _core
 from planish.measurement import Map, Measurement
-from planish.registration.texture.lowpass import EVERYWHERE
+from planish.registration.texture.lowpass import EVERYWHERE, bell
 
 #: Blocks [px] at which everything that belongs to the pattern's statistics is kept.
 BLOCK_PX = 4
@@ -121,10 +121,8 @@ def split_bands(value: Map, threads: int) -> tuple[Band, Band]:
     What is fixed to the pixels is white, texture comes through a lens: the fine part holds most of the pattern and
     little texture.
     """
-    at = np.arange(-_SPLIT_REACH_PX, _SPLIT_REACH_PX + 1)
-    bell = np.exp(-0.5 * (at / _SPLIT_PX) ** 2)
     fine, coarse, fine_squares, coarse_squares, count = _core.split_bands(
-        value, (bell / bell.sum()).tolist(), BLOCK_PX, threads
+        value, bell(_SPLIT_PX, _SPLIT_REACH_PX).tolist(), BLOCK_PX, threads
     )
     return Band(fine, fine_squares, count), Band(coarse, coarse_squares, count)
 

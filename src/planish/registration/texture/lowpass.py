@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish import _core
+from planish.geometry import Array
 from planish.measurement import Map
 
 #: Blocks are so small that the low-pass's deviation is this many of them: it holds no finer detail.
@@ -22,6 +23,12 @@ _THIN = 0.01
 _STEEPEST = 0.5
 #: What the kernels take for a mask that leaves nothing out.
 EVERYWHERE = np.empty((0, 0), np.uint8)
+
+
+def bell(sigma: float, reach: int) -> Array:
+    """Return a Gaussian of sum 1 at -reach to reach."""
+    values = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    return np.asarray(values / values.sum())
 
 
 @dataclass(frozen=True)
@@ -60,10 +67,11 @@ class Lowpass:
         that is known lies to one side: a mean would miss the slope of the light, and show the rim as a line.
         """
         reach = round(_REACH_SIGMAS * self._sigma_blocks)
-        bell = np.exp(-0.5 * (np.arange(-reach, reach + 1) / self._sigma_blocks) ** 2)
         least, thin = _MIN_DENSITY * self.factor**2, _THIN * self._sigma_blocks**2
         total, weight = np.ascontiguousarray(total, np.float32), np.ascontiguousarray(weight, np.float32)
-        return _core.local_planes(total, weight, (bell / bell.sum()).tolist(), least, thin, _STEEPEST, self.threads)
+        return _core.local_planes(
+            total, weight, bell(self._sigma_blocks, reach).tolist(), least, thin, _STEEPEST, self.threads
+        )
 
     @property
     def _sigma_blocks(self) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -13,7 +14,7 @@ from planish.geometry import Array
 from planish.measurement import Map, Measurement
 from planish.options import thread_count
 from planish.registration.surface import Surface
-from planish.registration.texture.charts import Chart, ChartOptions, plan_charts
+from planish.registration.texture.charts import Chart
 from planish.registration.texture.periods import Period, find_period
 from planish.registration.texture.unrolled import UnrolledSurface
 from planish.registration.tiles import ground_sample_distance
@@ -115,16 +116,12 @@ def texture_images(
     surface: Surface,
     contrast: tuple[Map, Map],
     pitch_mm: float,
-    charts: ChartOptions | tuple[Chart, ...] | None = None,
+    charts: Sequence[Chart],
     threads: int | None = None,
 ) -> tuple[TextureImage, ...]:
-    """Return one TextureImage per chart of the measurement; `contrast` is value and sigma from `local_contrast`.
-
-    `charts` are those that have been planned, or the options to plan them by.
-    """
-    planned = charts if isinstance(charts, tuple) else plan_charts(measurement, surface, charts)
+    """Return one TextureImage per chart of `plan_charts`; `contrast` is value and sigma from `local_contrast`."""
     count = thread_count(threads)
-    drawn = (_resample(measurement, surface, contrast, chart, pitch_mm, count) for chart in planned)
+    drawn = (_resample(measurement, surface, contrast, chart, pitch_mm, count) for chart in charts)
     return tuple(image for image in drawn if image is not None)
 
 
