@@ -32,6 +32,7 @@ from planish.measurement import Measurement
 from planish.pipeline import prepare_run
 from planish.registration.pair import register_pair
 from shared.cells import Rows, cell_arguments, run_cells
+from shared.environment import check_environment
 
 #: Pairs per part on average: what the plan gives.
 PAIRS_PER_PART = 14
@@ -133,6 +134,8 @@ def main() -> None:
     parser.add_argument("--peers", help="python of the peers' environment")
     parser.add_argument("--peer-every", type=int, default=40)
     arguments = parser.parse_args()
+    if arguments.peers:
+        check_environment(arguments.peers, "open3d", "kiss_matcher")
     if not arguments.tables:
         first, scale, kind = (FIRST_FULL, 1.0, "full") if arguments.full else (0, 0.5, "half")
         numbers = range(first, first + -(-arguments.pairs // PAIRS_PER_PART))

@@ -21,6 +21,7 @@ from refined_pairs import accuracy, beside, covariance, failures, scenes
 from refined_pairs.pairs import KINDS
 from refined_pairs.tables import FOLDER, save_tables
 from shared.cells import cell_arguments, run_cells
+from shared.environment import check_environment
 
 #: One surface each, for the covariance; and a texture that is weak against its noise.
 COVARIANCE_KINDS = ("plate_3", "plate_0.5", "cylinder_3", "door_3", "waves_3", "pipe_3")
@@ -81,6 +82,8 @@ def parse() -> argparse.Namespace:
 def main() -> None:
     arguments = parse()
     again, workers = arguments.again, arguments.workers
+    if arguments.peers:
+        check_environment(arguments.peers, "open3d", "small_gicp")
     if arguments.study == "accuracy":
         run_cells(FOLDER, accuracy_cells(arguments), accuracy.run_part, workers, again)
     elif arguments.study == "scenes":
