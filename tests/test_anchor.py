@@ -86,3 +86,17 @@ class TestScatter:
 
     def test_peaks_as_many_as_by_chance_hold_nothing(self):
         assert hypothesis(self.peaks(0.1, 0.1)[:20], others=380).anchor(AGREE_MM) is None
+
+    @pytest.mark.parametrize("share", [0.4, 0.7, 0.95, 1.0])
+    def test_windows_without_texture_neither_widen_nor_narrow_the_scatter_of_the_others(self, share):
+        sigma_mm, chance, count = 0.15, 0.05, 4000
+        told = self.peaks(sigma_mm, sigma_mm, count=round(share * count))
+        # The others' peaks stand anywhere in the search area, of which the gate is a share.
+        radius = AGREE_MM / np.sqrt(chance) * np.sqrt(self.rng.uniform(0, 1, count - len(told)))
+        angle = self.rng.uniform(0, 2 * np.pi, len(radius))
+        anywhere = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+        agreeing = anywhere[radius <= AGREE_MM]
+        found = hypothesis(np.vstack([told, agreeing]), len(anywhere) - len(agreeing), chance).anchor(AGREE_MM)
+        # Those that agree by chance count as windows, and hold nothing.
+        worth = sigma_mm / np.sqrt(len(told) / (len(told) + len(agreeing)))
+        assert found.sigma_mm == pytest.approx(worth, rel=0.1)

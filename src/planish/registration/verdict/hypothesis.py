@@ -103,9 +103,10 @@ class Hypothesis:
         peaks stand anywhere within `agree_mm`, which alone would scatter them by half of that.
         """
         agrees, windows = self.windows.agrees, self.windows
-        by_chance = windows.chance * len(windows)
-        if agrees.sum() < max(_MIN_WINDOWS, _CREDIBLE * by_chance):
+        if agrees.sum() < max(_MIN_WINDOWS, _CREDIBLE * windows.chance * len(windows)):
             return None
+        # Of those whose texture says nothing, most miss the gate, and are counted.
+        by_chance = windows.chance / (1 - windows.chance) * (~agrees).sum()
         offsets, share = windows.offset_mm[agrees], by_chance / agrees.sum()
         anywhere = agree_mm**2 / 4
         seen = float(np.linalg.eigvalsh(offsets.T @ offsets / len(offsets))[-1])
