@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from planish import _core
 from planish.geometry import Array
 from planish.measurement import Map, Measurement
-from planish.registration.surface import Surface, SurfaceOptions
+from planish.registration.surface import Surface
 from planish.rig import Camera
 
 Mask = NDArray[np.bool_]
@@ -28,8 +28,9 @@ Index = NDArray[np.intp]
 #: Variance of the cubic B-spline through which the correspondence reads the other camera's positions, along each axis
 #: [px^2]: that of the sum of four uniform distributions of 1 px.
 _SPLINE = 4 / 12
-#: Slope against another camera's rays from which on it does not see one surface: that of `SurfaceOptions`.
-_MAX_SLOPE = SurfaceOptions().max_slope
+#: Slope against the other camera's rays (72 degrees) from which on the surface bends too much in its few pixels there
+#: for fits of second order: points are off along their normals by parts of their noise, all to the same side.
+_MAX_SLOPE = 3.0
 #: Edge of the squares of pixels whose means the fits see: a mean over a square adds a constant to a quadratic field.
 _BIN_PX = 2
 #: Scale of the local fits (standard deviation of the window), and distance of the places where they are made [px].
@@ -52,7 +53,7 @@ def height_by_blur(measurement: Measurement, surface: Surface, threads: int = 1)
     First per 1 px^2 of the variance of the cameras' blur, which is the same in both, and small against what bends; then
     by the spline that reads the other camera's positions between its pixels. Points by fringes or Gray code; 0 where
     unknown. By the spline NaN where the other camera sees the surface so obliquely that its pixels, and those that the
-    spline needs beside them, see the limb: points are off there by more than their noise and any derivative tell.
+    spline needs beside them, see too much of its bend: points are off there by more than these derivatives tell.
 
     Notes
     -----
