@@ -144,12 +144,8 @@ def _refined_result(
 ) -> PairResult:
     # What agrees with a consensus does so within this.
     within_mm = options.verdict.verify.agree_mm
-    anchor = first.anchor(within_mm) if is_weak(a, b, options.dense) else None
     refined = refine_pair(a, b, first.T_a_b, options, threads, verdict.without, within_mm)
     covariance = noise_covariance(refined) if refined is not None else None
-    if refined is not None and covariance is not None and anchor is not None:
-        T, covariance = anchor.combined(refined.T_a_b, covariance, refined.about)
-        refined = replace(refined, T_a_b=T)
     directions: tuple[Direction, ...] = ()
     kept_out, fit = None, None
     if refined is not None and covariance is not None:

@@ -11,7 +11,6 @@ from planish.geometry import Array, fit_rigid, invert, rotation_angle, transform
 from planish.measurement import Measurement
 from planish.registration.consensus import Candidate, CoarseResult
 from planish.registration.matches import Matches
-from planish.registration.refine.anchor import Anchor
 from planish.registration.texture.sampling import sample
 from planish.registration.verdict.aligned import Side
 from planish.registration.verdict.false_alarms import (
@@ -96,28 +95,6 @@ class Hypothesis:
         sigma = float(np.sqrt((self.windows.offset_mm[agrees] ** 2).sum(1).mean() / 2 * 6 / (2 * len(chosen))))
         return Drift(mm, 0.5 * pitch_mm + _SURELY * sigma)
 
-    def anchor(self, agree_mm: float) -> Anchor | None:
-        """Return what the agreeing windows hold the refinement by, or None where that is hardly more than chance.
-
-        The direction in which they scatter most speaks for all: along its grain a texture holds little, and there the
-        peaks stand anywhere within `agree_mm`, which alone would scatter them by half of that.
-        """
-        agrees, windows = self.windows.agrees, self.windows
-        if agrees.sum() < max(_MIN_WINDOWS, _CREDIBLE * windows.chance * len(windows)):
-            return None
-        # Of those whose texture says nothing, most miss the gate, and are counted.
-        by_chance = windows.chance / (1 - windows.chance) * (~agrees).sum()
-        offsets, share = windows.offset_mm[agrees], by_chance / agrees.sum()
-        anywhere = agree_mm**2 / 4
-        seen = float(np.linalg.eigvalsh(offsets.T @ offsets / len(offsets))[-1])
-        # Those that agree by chance stand anywhere, and say nothing.
-        scatter = max((seen - share * anywhere) / (1 - share), _LEAST_SCATTER * anywhere)
-        if scatter >= anywhere:
-            return None
-        # As of a Gaussian peak and a Gaussian gate: their product is as narrow as what is seen.
-        information = (1 - share) * (1 / scatter - 1 / anywhere)
-        return Anchor(self.T_a_b, windows.points_a[agrees], float(1 / np.sqrt(information)))
-
 
 #: Standard deviations of the windows' fit that chance does not exceed.
 _SURELY = 5.0
@@ -127,8 +104,6 @@ _FITS = 3
 _CREDIBLE = 3.0
 #: A smaller change (rms) alters neither which windows agree nor how well [texture px].
 _SETTLED_PX = 0.15
-#: Peaks scatter by this share of the gate's variance at least: they stand on pixels of the texture images.
-_LEAST_SCATTER = 0.01
 #: As few agreeing windows as this fix a rigid motion with redundancy.
 _MIN_WINDOWS = 6
 
