@@ -82,31 +82,51 @@ def test_twice_the_noise_gives_twice_the_sigma():
     assert ((ratio > 1.3) & (ratio < 2.3)).all()
 
 
+#: Gradients of a kind that no tile holds.
+NONE = np.zeros((1, 1, 6))
+
+
 def test_the_scatter_of_independent_tiles_is_their_sum_of_squares():
-    g = np.random.default_rng(0).standard_normal((60, 80, 6))
-    # 4,800 tiles: a variance to 2 %; products with eight neighbours, of which only an excess counts, add three times
-    # that.
-    np.testing.assert_allclose(_gradient_scatter(g) / 4800, np.eye(6), atol=0.2)
+    rng = np.random.default_rng(0)
+    distance, texture = rng.standard_normal((2, 60, 80, 6))
+    # 9,600 tiles: a variance to 1.5 %; products with eight neighbours, of which only an excess counts, add as much.
+    np.testing.assert_allclose(_gradient_scatter(distance, texture) / 4800, 2 * np.eye(6), atol=0.2)
+
+
+def summed_neighbours(rng):
+    """Gradients that share half of what they hold with neighbours."""
+    white = rng.standard_normal((31, 41, 6))
+    return white[1:, 1:] + white[:-1, 1:] + white[1:, :-1] + white[:-1, :-1]
 
 
 def test_the_scatter_counts_what_neighbouring_tiles_share():
     rng = np.random.default_rng(0)
     sums, stated = [], []
     for _ in range(60):
-        white = rng.standard_normal((31, 41, 6))
-        g = white[1:, 1:] + white[:-1, 1:] + white[1:, :-1] + white[:-1, :-1]
+        g = summed_neighbours(rng)
         sums.append(g.sum((0, 1)))
-        stated.append(np.diag(_gradient_scatter(g)))
+        stated.append(np.diag(_gradient_scatter(g, NONE)))
     # A variance from 360 values is known to 7 %.
     assert np.mean(stated) == pytest.approx(np.mean(np.square(sums)), rel=0.2)
+
+
+def test_what_neighbours_share_of_one_kind_does_not_widen_the_other():
+    rng = np.random.default_rng(0)
+    texture = summed_neighbours(rng) * [1, 1, 1, 0, 0, 0]
+    distance = rng.standard_normal(texture.shape) * [0, 0, 0, 1, 1, 1]
+    tiles = texture[..., 0].size
+    of_texture, of_distance = np.split(np.diag(_gradient_scatter(distance, texture)) / tiles, 2)
+    # Four values of unit variance in each, four times as much in their sum; 1,200 tiles: a variance to a few percent.
+    np.testing.assert_allclose(of_texture, 16, rtol=0.3)
+    np.testing.assert_allclose(of_distance, 1, rtol=0.15)
 
 
 def test_empty_tiles_do_not_count():
     g = np.random.default_rng(0).standard_normal((9, 9, 6))
     padded = np.zeros((30, 20, 6))
     padded[5:14, 3:12] = g
-    np.testing.assert_allclose(_gradient_scatter(padded), _gradient_scatter(g), rtol=1e-9)
-    assert not _gradient_scatter(np.zeros((4, 5, 6))).any()
+    np.testing.assert_allclose(_gradient_scatter(padded, NONE), _gradient_scatter(g, NONE), rtol=1e-9)
+    assert not _gradient_scatter(NONE, NONE).any()
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from planish.geometry import Array
-from planish.registration.refine.information import combined_tiles, information
+from planish.registration.refine.information import information, tile_gradients
 from planish.registration.refine.solve import Refined
 from planish.registration.result import Direction
 
@@ -13,6 +13,8 @@ from planish.registration.result import Direction
 OBSERVABLE_MM = 1.0
 #: Standard deviation of a direction that nothing holds [mm].
 _NOTHING_MM = 1000.0
+#: Directions of the tiles' scatter below this share of the largest are empty but for rounding.
+_EMPTY = 1e-12
 
 
 def noise_covariance(refined: Refined) -> Array:
@@ -28,34 +30,40 @@ def noise_covariance(refined: Refined) -> Array:
     values, vectors = np.linalg.eigh((info.total + info.total.T) / 2)
     held = values > max(values[-1] * 1e-12, 1e-6)
     inverse = vectors[:, held] / values[held]
-    scatter = _gradient_scatter(combined_tiles(refined.equations, info))
+    scatter = _gradient_scatter(*tile_gradients(refined.equations, info))
     scatter += np.outer(info.blur, info.blur)
     C = inverse @ (vectors[:, held].T @ scatter @ vectors[:, held]) @ inverse.T
     C += _NOTHING_MM**2 * vectors[:, ~held] @ vectors[:, ~held].T
     return C / np.outer(info.scale, info.scale)
 
 
-def _gradient_scatter(g: Array) -> Array:
-    """Covariance (6, 6) of the sum of the tiles' gradients (rows, columns, 6)."""
-    own = np.einsum("rci,rcj->ij", g, g)
+def _gradient_scatter(distance: Array, texture: Array) -> Array:
+    """Covariance (6, 6) of the sum of both kinds of tiles' gradients (rows, columns, 6)."""
+    g = sum(np.sqrt(_shared_with_neighbours(kind)) * kind for kind in (distance, texture))
+    n = int(np.any(g != 0, axis=2).sum())
+    # n / (n - 6): six parameters were fitted to these gradients (HC1, MacKinnon and White 1985).
+    return np.asarray(np.einsum("rci,rcj->ij", g, g) * n / max(n - 6, 1))
+
+
+def _shared_with_neighbours(g: Array) -> float:
+    """Variance of the sum of the tiles' gradients (rows, columns, 6) over that of as many independent ones.
+
+    By the products with the eight neighbours: what the windows carry over a tile's border (Conley 1999). They reach
+    equally far whatever the direction, so that one figure serves all six, known that much better.
+    """
     rows = g.copy()
     rows[1:] += g[:-1]
     rows[:-1] += g[1:]
     around = rows.copy()
     around[:, 1:] += rows[:, :-1]
     around[:, :-1] += rows[:, 1:]
-    # Products with the eight neighbours too: what the windows carry over a tile's border (Conley 1999).
-    with_neighbours = np.einsum("rci,rcj->ij", g, around)
+    own, with_neighbours = (np.einsum("rci,rcj->ij", g, other) for other in (g, around))
     values, vectors = np.linalg.eigh(own)
-    held = values > values.max(initial=0) * 1e-12
-    root = vectors[:, held] * np.sqrt(values[held])
+    held = values > values.max(initial=0) * _EMPTY
     whiten = vectors[:, held] / np.sqrt(values[held])
-    ratio, axes = np.linalg.eigh(whiten.T @ with_neighbours @ whiten)
+    ratio = np.trace(whiten.T @ with_neighbours @ whiten) / max(np.count_nonzero(held), 1)
     # Smoothing correlates neighbours positively: what falls below the tiles' own scatter is chance.
-    half = root @ axes * np.sqrt(np.maximum(ratio, 1.0))
-    n = int(np.any(g != 0, axis=2).sum())
-    # n / (n - 6): six parameters were fitted to these gradients (HC1, MacKinnon and White 1985).
-    return half @ half.T * n / max(n - 6, 1)
+    return max(float(ratio), 1.0)
 
 
 def observability(refined: Refined, covariance: Array, axes: Array | None = None) -> tuple[Direction, ...]:

@@ -70,10 +70,10 @@ def information(e: Equations, lever_mm: float, min_slope: float = 0.0, afar: boo
     )
 
 
-def combined_tiles(e: Equations, info: Information) -> Array:
-    """Return the tiles' gradients (rows, columns, 6), scaled, whose sum is that of the information."""
+def tile_gradients(e: Equations, info: Information) -> tuple[Array, Array]:
+    """Return the tiles' gradients (rows, columns, 6) of distance and texture, scaled; all sum up to `info.gradient`."""
     distance, texture = np.moveaxis(e.tile_gradients / info.scale, 2, 0)
-    return np.asarray(distance @ info.trust.T + texture)
+    return np.asarray(distance @ info.trust.T), np.asarray(texture)
 
 
 def held_directions(info: Information, max_sigma_mm: float) -> tuple[Array, Array]:
