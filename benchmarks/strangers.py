@@ -30,7 +30,7 @@ from planish.registration.pair import register_pair
 from planish.registration.prepared import Prepared, RefinementMaps, Sides
 from planish.simulation.scenes import Scene, make_scene
 from render_tables import save_table
-from shared.cells import Rows, cell_arguments, read_rows, run_cells
+from shared.cells import Rows, cell_arguments, commit, read_rows, run_cells
 from shared.rendered import measure_scene
 
 FOLDER = "strangers"
@@ -88,6 +88,15 @@ def _slim(item: Prepared, scratch: Path) -> Prepared:
     return replace(
         item, refinement=StoredMaps(_store(item.refinement.get(), scratch / f"{item.measurement.name}.maps"))
     )
+
+
+def of_this_state(scratch: Path) -> Path:
+    """Return the folder for what the code as it stands prepares: that of another state may be of other classes."""
+    state = commit()
+    if state is None or state.endswith("dirty"):
+        scratch.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(dir=scratch))
+    return scratch / state
 
 
 def prepare_block(block: int, parts: int, scratch: Path) -> tuple[RegisterOptions, list[Prepared]]:
@@ -207,14 +216,15 @@ def main() -> None:
     parser.add_argument("--scratch", type=Path, default=Path(tempfile.gettempdir()) / "planish-strangers")
     arguments = parser.parse_args()
     if not arguments.tables:
+        scratch = of_this_state(arguments.scratch)
         run = partial(run_cells, FOLDER, workers=arguments.workers, again=arguments.again)
         run({f"far_{n:02d}": (n,) for n in range(arguments.far_parts)}, run_far)
         blocks = -(-arguments.parts // BLOCK)
         # Each block with itself first: so no two processes prepare the same one.
-        within = {f"parts_{k:02d}_{k:02d}": (k, k, arguments.parts, arguments.scratch) for k in range(blocks)}
+        within = {f"parts_{k:02d}_{k:02d}": (k, k, arguments.parts, scratch) for k in range(blocks)}
         run(within, run_blocks)
         between = combinations(range(blocks), 2)
-        run({f"parts_{i:02d}_{j:02d}": (i, j, arguments.parts, arguments.scratch) for i, j in between}, run_blocks)
+        run({f"parts_{i:02d}_{j:02d}": (i, j, arguments.parts, scratch) for i, j in between}, run_blocks)
     save_tables()
 
 

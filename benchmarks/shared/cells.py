@@ -58,14 +58,14 @@ def _run_cell(path: Path, function: Callable[..., Rows], values: tuple[Any, ...]
     memory = round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_suffix(f".{os.getpid()}.part")
-    head = {"machine": describe_machine(), "commit": _commit(), "cpu_s": seconds, "peak_mib": memory}
+    head = {"machine": describe_machine(), "commit": commit(), "cpu_s": seconds, "peak_mib": memory}
     lines = ",\n  ".join(json.dumps(row, allow_nan=False) for row in rows)
     temporary.write_text(json.dumps(head)[:-1] + f',\n "rows": [\n  {lines}\n ]}}\n', encoding="utf-8")
     os.replace(temporary, path)
     return f"{path.stem}, {len(rows)} rows, {seconds} s of CPU, {memory} MiB"
 
 
-def _commit() -> str | None:
+def commit() -> str | None:
     """Return what of the history a cell was computed by, so that cells of different states can be told apart."""
     asked = ["git", "describe", "--always", "--dirty"]
     done = subprocess.run(asked, cwd=ROOT, capture_output=True, text=True, check=False)
