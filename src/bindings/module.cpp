@@ -9,6 +9,7 @@
 #include <malloc.h>
 #endif
 
+#include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
 
 using namespace nanobind::literals;
@@ -39,6 +40,7 @@ void keep_memory(bool keep) {
     mallopt(M_TRIM_THRESHOLD, keep ? kEverything : kTrimmed);
     // What one thread has freed serves all others.
     mallopt(M_ARENA_MAX, keep ? 1 : 0);
+    page_pool().pause(keep);
     if (!keep) release_memory();
 #else
     static_cast<void>(keep);

@@ -13,6 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from planish.cli import console
 from planish.errors import InputError
+from planish.execution.memory import kept_memory
 from planish.execution.pool import WorkerPool
 from planish.measurement import Finding, Measurement
 from planish.options import thread_count
@@ -124,7 +125,8 @@ def _measured(jobs: Sequence[Job], threads: int, workers: int | None) -> Iterato
     """Yield what has been measured, in the order of the jobs."""
     if workers is None:
         # One after the other: a capture's images fill the threads, and one capture at a time the memory.
-        yield from (measure_job(job, threads) for job in jobs)
+        with kept_memory():
+            yield from (measure_job(job, threads) for job in jobs)
         return
     waiting: dict[int, Measured] = {}
     said = 0

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Protocol, Self, TypeVar
 
 import cv2
 
-from planish import _core
+from planish.execution.memory import kept_memory
 from planish.execution.recent import RECENT, WORKER_BYTES, main_process_bytes
 from planish.options import thread_count
 
@@ -50,6 +51,7 @@ class Threads:
 
     def __init__(self, threads: int | None = None) -> None:
         self._threads = thread_count(threads)
+        self._memory = ExitStack()
 
     @property
     def slots(self) -> int:
@@ -80,7 +82,7 @@ class Threads:
 
     def __enter__(self) -> Self:
         RECENT.max_bytes = main_process_bytes()
-        _core.keep_memory(True)
+        self._memory.enter_context(kept_memory())
         return self
 
     def __exit__(
@@ -89,4 +91,4 @@ class Threads:
         """Give back the memory; threads end with each `map`."""
         RECENT.max_bytes = WORKER_BYTES
         RECENT.clear()
-        _core.keep_memory(False)
+        self._memory.close()
