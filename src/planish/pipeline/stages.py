@@ -7,6 +7,7 @@ kept for a while (`RECENT`).
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +23,7 @@ from planish.evaluation.overlap import evaluate_overlap
 from planish.execution.recent import RECENT
 from planish.execution.store import StageStore, content_key
 from planish.geometry import Array
-from planish.measurement import Map, Measurement
+from planish.measurement import SCHEMA, Map, Measurement
 from planish.options import thread_count
 from planish.pipeline.options import RegisterOptions
 from planish.registration.candidates.footprint import Footprint, footprint
@@ -75,8 +76,10 @@ def look_at(path: Path, threads: int) -> Source:
     """Return what a run needs to know of a measurement file before it starts."""
     if not path.is_file():
         raise InputError(path, "no such file", "a measurement written by `planish measure`")
-    found, sha256 = path.stat(), storage.sha256(path)
-    m = RECENT.get(("measurement", sha256), lambda: Measurement.load(path))
+    # One reading for both: what is measured is what is named by its hash.
+    found, content = path.stat(), storage.read_content(path, SCHEMA)
+    sha256 = hashlib.sha256(content.data).hexdigest()
+    m = RECENT.get(("measurement", sha256), lambda: Measurement.of_content(content, path))
     return Source(
         m.name, path, sha256, found.st_size, found.st_mtime_ns, ground_sample_distance(m), sensor_key(m), centroid(m)
     )
