@@ -30,6 +30,7 @@ from planish.measurement import Measurement
 from planish.options import thread_count
 from planish.pipeline import measure, register_files
 from planish.pipeline.reporting import report_files
+from planish.pipeline.saving import save_each
 from planish.sensing.capture.manifest import Capture
 from planish.simulation.render import render_capture
 from planish.simulation.scenes import make_scene
@@ -114,14 +115,13 @@ def floor_run(manifests: Sequence[Path], textures_file: Path, threads: int) -> d
 def measure_all(manifests: Sequence[Path], folder: Path, threads: int) -> list[Path]:
     """Measure captures and write them, as `planish measure` does; return the files."""
 
-    def measured(manifest: Path) -> Path:
+    def measured(manifest: Path) -> tuple[Measurement, Path, Path]:
         measurement = measure(Capture.load(manifest), threads=threads)
         file = folder / f"{measurement.name}.h5"
-        measurement.save(file)
-        return file
+        return measurement, file, file
 
     with kept_memory():
-        return [measured(manifest) for manifest in manifests]
+        return list(save_each(measured(manifest) for manifest in manifests))
 
 
 def job_run(manifests: Sequence[Path], folder: Path, threads: int) -> dict[str, Seconds]:
