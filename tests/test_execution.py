@@ -203,6 +203,15 @@ ONLY_GLIBC = pytest.mark.skipif(
 )
 
 
+@pytest.mark.parametrize(
+    ("threads", "items", "expected"),
+    [(2, 5, [1, 1, 1, 1, 2]), (4, 6, [1, 1, 1, 1, 2, 2]), (8, 3, [2, 2, 2]), (2, 4, [1, 1, 1, 1]), (1, 2, [1, 1])],
+)
+def test_the_last_items_share_the_threads_that_others_no_longer_need(threads, items, expected):
+    with Threads(threads) as executor:
+        assert [own for _, own in sorted(executor.map(lambda _, own: own, range(items)))] == expected
+
+
 @ONLY_GLIBC
 def test_threads_keep_freed_memory_for_what_comes_next_and_give_it_back():
     size_mib = 200

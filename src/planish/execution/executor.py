@@ -67,13 +67,15 @@ class Threads:
         """Yield (index of the item, function(item, threads)) as they are done.
 
         Whole items side by side use the processors better than the threads inside one item, much of which is serial.
+        The last ones, fewer than there are threads, share these.
         """
         side_by_side = max(1, min(self._threads, len(items)))
-        own = max(1, self._threads // side_by_side)
+        own, last = max(1, self._threads // side_by_side), len(items) % side_by_side
+        shares = [own] * (len(items) - last) + [max(1, self._threads // max(1, last))] * last
         cv2.setNumThreads(own)
         pool = ThreadPoolExecutor(side_by_side)
         try:
-            futures = {pool.submit(function, item, own): index for index, item in enumerate(items)}
+            futures = {pool.submit(function, *shared): i for i, shared in enumerate(zip(items, shares, strict=True))}
             for future in as_completed(futures):
                 yield futures[future], future.result()
         finally:
