@@ -8,7 +8,7 @@ kept for a while (`RECENT`).
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -141,7 +141,17 @@ class PatternStage:
 
     def pattern(self, threads: int) -> FixedPattern:
         """Return the pattern, kept for the next ones of the sensor."""
-        return RECENT.get(("pattern", self.key), lambda: self.sums(threads)[0].pattern(self.members))
+        return self._estimate(lambda: self.sums(threads)[0], threads)
+
+    def make(self, threads: int) -> bool:
+        """Make sums and pattern for the texture images that come next; return whether the sums were there."""
+        sums, there = self.sums(threads)
+        if not there:
+            self._estimate(lambda: sums, threads)
+        return there
+
+    def _estimate(self, sums: Callable[[], PatternSums], threads: int) -> FixedPattern:
+        return RECENT.get(("pattern", self.key), lambda: sums().pattern(self.members, threads))
 
 
 @dataclass(frozen=True)
@@ -248,6 +258,11 @@ def load(source: Source) -> Measurement:
 def sum_pattern(stage: PatternStage, threads: int) -> bool:
     """Make the sums over captures of a sensor; return whether they were there."""
     return stage.sums(threads)[1]
+
+
+def estimate_pattern(stage: PatternStage, threads: int) -> bool:
+    """Make the pattern of a sensor, from all its captures; return whether their sums were there."""
+    return stage.make(threads)
 
 
 def find_keypoints(view: View, threads: int) -> bool:
