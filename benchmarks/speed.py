@@ -25,10 +25,12 @@ import cv2
 import numpy as np
 
 from planish.execution.executor import Threads
+from planish.execution.memory import kept_memory
 from planish.measurement import Measurement
 from planish.options import thread_count
 from planish.pipeline import measure, register_files
 from planish.pipeline.reporting import report_files
+from planish.pipeline.saving import save_each
 from planish.sensing.capture.manifest import Capture
 from planish.simulation.render import render_capture
 from planish.simulation.scenes import make_scene
@@ -112,21 +114,23 @@ def floor_run(manifests: Sequence[Path], textures_file: Path, threads: int) -> d
 
 def measure_all(manifests: Sequence[Path], folder: Path, threads: int) -> list[Path]:
     """Measure captures and write them, as `planish measure` does; return the files."""
-    files = []
-    for manifest in manifests:
+
+    def measured(manifest: Path) -> tuple[Measurement, Path, Path]:
         measurement = measure(Capture.load(manifest), threads=threads)
-        files.append(folder / f"{measurement.name}.h5")
-        measurement.save(files[-1])
-    return files
+        file = folder / f"{measurement.name}.h5"
+        return measurement, file, file
+
+    with kept_memory():
+        return list(save_each(measured(manifest) for manifest in manifests))
 
 
 def job_run(manifests: Sequence[Path], folder: Path, threads: int) -> dict[str, Seconds]:
     """Return how long `planish measure` and `planish register` take, the latter with nothing there yet."""
     cv2.setNumThreads(threads)
     watch, stages = Stopwatch(), Stages()
-    files = measure_all(manifests, folder, threads)
-    watch.stop(MEASURE)
     with tempfile.TemporaryDirectory(dir=folder) as out, Threads(threads) as executor:
+        files = measure_all(manifests, folder, threads)
+        watch.stop(MEASURE)
         run = register_files(files, Path(out), executor=executor, progress=stages.say)
         watch.stop(REGISTER)
         seconds = stages.seconds(now())

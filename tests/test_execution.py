@@ -17,6 +17,7 @@ from planish import _core
 from planish.errors import InputError
 from planish.execution.cluster import DaskCluster, call_if_same_code
 from planish.execution.executor import Threads
+from planish.execution.memory import kept_memory
 from planish.execution.pool import Stretches, WorkerLostError, WorkerPool
 from planish.execution.recent import Recent, arrays_of
 from planish.execution.store import StageStore, code_version, content_key
@@ -202,6 +203,15 @@ ONLY_GLIBC = pytest.mark.skipif(
 )
 
 
+@pytest.mark.parametrize(
+    ("threads", "items", "expected"),
+    [(2, 5, [1, 1, 1, 1, 2]), (4, 6, [1, 1, 1, 1, 2, 2]), (8, 3, [2, 2, 2]), (2, 4, [1, 1, 1, 1]), (1, 2, [1, 1])],
+)
+def test_the_last_items_share_the_threads_that_others_no_longer_need(threads, items, expected):
+    with Threads(threads) as executor:
+        assert [own for _, own in sorted(executor.map(lambda _, own: own, range(items)))] == expected
+
+
 @ONLY_GLIBC
 def test_threads_keep_freed_memory_for_what_comes_next_and_give_it_back():
     size_mib = 200
@@ -209,6 +219,19 @@ def test_threads_keep_freed_memory_for_what_comes_next_and_give_it_back():
         before = resident_mib()
         maps = [np.ones(2**20) for _ in range(size_mib // 8)]
         assert len(maps) * 8 == size_mib
+        del maps
+        assert resident_mib() - before > 0.9 * size_mib
+    assert resident_mib() - before < 0.1 * size_mib
+
+
+@ONLY_GLIBC
+def test_kept_memory_of_overlapping_blocks_goes_back_after_the_last_one():
+    size_mib = 200
+    with Threads(1):
+        before = resident_mib()
+        with kept_memory():
+            maps = [np.ones(2**20) for _ in range(size_mib // 8)]
+            assert len(maps) * 8 == size_mib
         del maps
         assert resident_mib() - before > 0.9 * size_mib
     assert resident_mib() - before < 0.1 * size_mib

@@ -72,6 +72,33 @@ def test_a_measurement_survives_its_file_bit_by_bit(tmp_path):
         assert_equal(getattr(measurement, item.name), getattr(loaded, item.name))
 
 
+def test_the_maps_of_a_measurement_lie_in_the_file_that_was_read(tmp_path):
+    measurement = make_measurement()
+    measurement.save(tmp_path / "m.h5")
+    content = storage.read_content(tmp_path / "m.h5", SCHEMA)
+    loaded = Measurement.of_content(content, tmp_path / "m.h5")
+    for maps in (loaded.points_sensor, loaded.rejected, loaded.views["A"].mean, loaded.position_px):
+        assert np.shares_memory(maps, content)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    values: np.ndarray
+
+
+@pytest.mark.parametrize(
+    "how", [{}, {"chunks": (10,)}, {"compression": "gzip"}, {"dtype": ">f8"}, {"dtype": "f4"}], ids=str
+)
+def test_arrays_are_read_however_another_program_laid_them_into_the_file(tmp_path, how):
+    values = np.arange(3000.0)
+    with h5py.File(tmp_path / "n.h5", "w") as file:
+        file.attrs["schema"] = "numbers"
+        # Of an odd number of bytes: what follows does not begin where its values could be used.
+        file["first"] = np.zeros(999, np.uint8)
+        file.create_dataset("values", data=values, **how)
+    np.testing.assert_array_equal(storage.load(tmp_path / "n.h5", Numbers, "numbers").values, values)
+
+
 def test_the_file_names_its_arrays_and_units(tmp_path):
     make_measurement().save(tmp_path / "m.h5")
     with h5py.File(tmp_path / "m.h5") as file:

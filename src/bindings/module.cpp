@@ -8,7 +8,11 @@
 #if defined(__GLIBC__)
 #include <malloc.h>
 #endif
+#if defined(__linux__)
+#include <sys/prctl.h>
+#endif
 
+#include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
 
 using namespace nanobind::literals;
@@ -29,6 +33,15 @@ void release_memory() {
 #endif
 }
 
+/// Whether what is touched for the first time may come in huge pages. In a virtual machine, memory in pieces of that
+/// size is what has been handed back to the host: to get it again takes several times as long as to have small pages
+/// cleared, and these are used again and again here.
+void allow_huge_pages([[maybe_unused]] bool allow) {
+#if defined(PR_SET_THP_DISABLE)
+    prctl(PR_SET_THP_DISABLE, allow ? 0UL : 1UL, 0UL, 0UL, 0UL);
+#endif
+}
+
 /// Maps and what lies between them come and go by the gigabyte, and to have fresh pages cleared by the system takes
 /// longer than most of what is written into them.
 void keep_memory(bool keep) {
@@ -39,6 +52,8 @@ void keep_memory(bool keep) {
     mallopt(M_TRIM_THRESHOLD, keep ? kEverything : kTrimmed);
     // What one thread has freed serves all others.
     mallopt(M_ARENA_MAX, keep ? 1 : 0);
+    page_pool().pause(keep);
+    allow_huge_pages(!keep);
     if (!keep) release_memory();
 #else
     static_cast<void>(keep);

@@ -206,7 +206,12 @@ class Measurement:
     @classmethod
     def load(cls, path: Path) -> Measurement:
         """Read a file written by `save`; errors name the file."""
-        measurement = storage.load(Path(path), cls, SCHEMA)
+        return cls.of_content(storage.read_content(Path(path), SCHEMA), Path(path))
+
+    @classmethod
+    def of_content(cls, content: storage.Content, path: Path) -> Measurement:
+        """Return the measurement of a file that has been read; its maps lie in `content`."""
+        measurement = storage.load_content(content, path, cls, SCHEMA)
         measurement._check(str(path))
         return measurement
 

@@ -1,7 +1,8 @@
 """One mechanism to save and load the frozen dataclasses that pass between stages: one HDF5 file each.
 
 Arrays become datasets, other values attributes, nested objects groups, units attributes. A file is written under a
-temporary name and renamed when whole, so an interrupted run never leaves half a file under a valid name.
+temporary name and renamed when whole, so an interrupted run never leaves half a file under a valid name. It is read
+into memory as a whole, and the arrays that come from it lie there.
 """
 
 from __future__ import annotations
@@ -10,23 +11,30 @@ import contextlib
 import dataclasses
 import functools
 import hashlib
+import io
 import json
 import os
 import types
 import typing
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.errors import InputError
 
 T = TypeVar("T")
 
+#: Bytes of a file.
+Content = NDArray[np.uint8]
+
 #: Marks a field that holds None (HDF5 has no such value).
 _NONE = "planish: none"
+#: Arrays of at least so many bytes begin at multiples of the other number, so that they can be used where they lie.
+_ALIGNMENT = {"alignment_threshold": 1024, "alignment_interval": 64}
 
 
 @contextlib.contextmanager
@@ -63,15 +71,45 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
+def content_of(file: IO[bytes]) -> Content:
+    """Return what an open file holds from its beginning, whatever has been read of it."""
+    size = file.seek(0, io.SEEK_END)
+    file.seek(0)
+    content = np.empty(size, np.uint8)
+    # A file may end sooner than it said, where something else is writing it.
+    return content[: file.readinto(content)]  # type: ignore[attr-defined]
+
+
+def read_content(path: Path, schema: str) -> Content:
+    """Return what a file that should be of a schema holds; an error names the file."""
+    if not path.is_file():
+        raise InputError(path, "no such file", f"a file of schema {schema}")
+    try:
+        with path.open("rb") as file:
+            return content_of(file)
+    except OSError as error:
+        raise InputError(path, f"cannot be read ({error.strerror})", f"a file of schema {schema}") from None
+
+
 def sha256(path: Path) -> str:
     """Return the SHA-256 of a file in hexadecimal."""
     with Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def create(path: Path, userblock_size: int = 0) -> Any:
+    """Return a new HDF5 file, open to be written; its first bytes are left to the user."""
+    return h5py.File(path, "w", track_order=True, userblock_size=userblock_size, **_ALIGNMENT)
+
+
+def opened(content: Content) -> Any:
+    """Return the HDF5 file that lies in memory, open to be read."""
+    return h5py.File(_Memory(content), "r")
+
+
 def save(path: Path, value: Any, schema: str) -> None:
     """Write a dataclass to an HDF5 file whose `schema` attribute is `schema`."""
-    with replacing(Path(path)) as temporary, h5py.File(temporary, "w", track_order=True) as file:
+    with replacing(Path(path)) as temporary, create(temporary) as file:
         file.attrs["schema"] = schema
         write_fields(file, value)
 
@@ -84,21 +122,55 @@ def load(path: Path, kind: type[T], schema: str) -> T:
     InputError
         Where the file is missing, damaged, no HDF5 file or of another schema.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(path, "no such file", f"a file of schema {schema}")
+    return load_content(read_content(Path(path), schema), Path(path), kind, schema)
+
+
+def load_content(content: Content, path: Path, kind: type[T], schema: str) -> T:
+    """Return what `load` does, of a file that has been read; its arrays lie in `content`."""
     try:
-        with h5py.File(path, "r") as file:
+        with opened(content) as file:
             found = file.attrs.get("schema")
             if found != schema:
                 raise InputError(path, f"schema is {found!r}", f"'{schema}'")
-            return read_fields(file, kind)
+            return read_fields(file, content, kind)
     except InputError as error:
         if error.subject.startswith(str(path)):
             raise
         raise InputError(f"{path}: {error.subject}", error.found, error.expected) from None
     except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError) as error:
         raise InputError(path, f"is damaged or not HDF5 ({error})", f"a whole file of schema {schema}") from None
+
+
+class _Memory(io.RawIOBase):
+    """A file in memory: bytes that are read where they lie."""
+
+    def __init__(self, content: Content) -> None:
+        self._content, self._at = content.data, 0
+
+    def seekable(self) -> bool:
+        """Return True."""
+        return True
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Go to a place, and return it."""
+        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: len(self._content)}[whence]
+        self._at = start + offset
+        return self._at
+
+    def tell(self) -> int:
+        """Return the place."""
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill a buffer from the place on; return with how many bytes."""
+        found = self._content[self._at : self._at + len(buffer)]
+        buffer[: len(found)] = found
+        self._at += len(found)
+        return len(found)
 
 
 def write_fields(group: Any, value: Any) -> None:
@@ -130,9 +202,9 @@ def _write(group: Any, name: str, item: Any, unit: str | None = None) -> None:
         group.attrs[name] = item
 
 
-def read_fields(group: Any, kind: type[T]) -> T:
-    """Return the object of dataclass `kind` whose fields an HDF5 group holds."""
-    return kind(**{name: _read(group, name, hint) for name, hint in _hints(typing.cast(Any, kind))})
+def read_fields(group: Any, content: Content, kind: type[T]) -> T:
+    """Return the object of dataclass `kind` whose fields an HDF5 group holds; its file lies in `content`."""
+    return kind(**{name: _read(group, content, name, hint) for name, hint in _hints(typing.cast(Any, kind))})
 
 
 @functools.cache
@@ -142,7 +214,7 @@ def _hints(kind: type[Any]) -> tuple[tuple[str, Any], ...]:
     return tuple((field.name, hints[field.name]) for field in dataclasses.fields(kind))
 
 
-def _read(group: Any, name: str, hint: Any) -> Any:
+def _read(group: Any, content: Content, name: str, hint: Any) -> Any:
     if name in group.attrs:
         item = group.attrs[name]
         if isinstance(item, str) and item == _NONE:
@@ -160,12 +232,23 @@ def _read(group: Any, name: str, hint: Any) -> Any:
     node, hint = group[name], _without_none(hint)
     origin = typing.get_origin(hint)
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
-        return {key: _read(node, key, typing.get_args(hint)[1]) for key in [*node.keys(), *_own_attributes(node)]}
+        return {
+            key: _read(node, content, key, typing.get_args(hint)[1]) for key in [*node.keys(), *_own_attributes(node)]
+        }
     if origin is tuple:
-        return tuple(_read(node, key, typing.get_args(hint)[0]) for key in sorted(node.keys()))
+        return tuple(_read(node, content, key, typing.get_args(hint)[0]) for key in sorted(node.keys()))
     if dataclasses.is_dataclass(hint):
-        return read_fields(node, typing.cast(Any, hint))
-    return node[()]
+        return read_fields(node, content, typing.cast(Any, hint))
+    return _array(node, content)
+
+
+def _array(dataset: Any, content: Content) -> Any:
+    """Return the values of a dataset: where they lie, if they lie there as they are used, else a copy."""
+    kind, offset = dataset.dtype, dataset.id.get_offset()
+    # No offset: values in chunks or none at all.
+    if offset is None or not kind.isnative or kind.hasobject or offset % kind.alignment:
+        return dataset[()]
+    return content[offset : offset + dataset.nbytes].view(kind).reshape(dataset.shape)
 
 
 def _own_attributes(node: Any) -> list[str]:

@@ -13,11 +13,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from planish.cli import console
 from planish.errors import InputError
+from planish.execution.memory import kept_memory
 from planish.execution.pool import WorkerPool
 from planish.measurement import Finding, Measurement
 from planish.options import thread_count
 from planish.pipeline import MeasureOptions
 from planish.pipeline import measure as measure_capture
+from planish.pipeline.saving import save_each
 from planish.sensing.capture.manifest import Capture
 
 MANIFEST = "capture.json"
@@ -90,12 +92,19 @@ class Measured:
 
 def measure_job(job: Job, threads: int) -> Measured:
     """Measure a capture and write its measurement."""
+    measurement, path, measured = _measure(job, threads)
+    measurement.save(path)
+    return measured
+
+
+def _measure(job: Job, threads: int) -> tuple[Measurement, Path, Measured]:
+    """Return a measurement, its file, which is not written yet, and what is said of it."""
     capture = job.capture
     rig = capture.load_rig(job.options.organise_on, list(job.rig) or None)
     measurement = measure_capture(capture, job.options, threads, rig)
-    measurement.save(job.out / f"{measurement.name}.h5")
     shares = _explain(measurement, job.out / f"{measurement.name}_why.png") if job.why else {}
-    return Measured(measurement.name, summary(measurement), measurement.findings, shares)
+    measured = Measured(measurement.name, summary(measurement), measurement.findings, shares)
+    return measurement, job.out / f"{measurement.name}.h5", measured
 
 
 def _explain(measurement: Measurement, path: Path) -> dict[str, str]:
@@ -124,7 +133,8 @@ def _measured(jobs: Sequence[Job], threads: int, workers: int | None) -> Iterato
     """Yield what has been measured, in the order of the jobs."""
     if workers is None:
         # One after the other: a capture's images fill the threads, and one capture at a time the memory.
-        yield from (measure_job(job, threads) for job in jobs)
+        with kept_memory():
+            yield from save_each(_measure(job, threads) for job in jobs)
         return
     waiting: dict[int, Measured] = {}
     said = 0

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Protocol, Self, TypeVar
 
 import cv2
 
-from planish import _core
+from planish.execution.memory import kept_memory
 from planish.execution.recent import RECENT, WORKER_BYTES, main_process_bytes
 from planish.options import thread_count
 
@@ -50,6 +51,7 @@ class Threads:
 
     def __init__(self, threads: int | None = None) -> None:
         self._threads = thread_count(threads)
+        self._memory = ExitStack()
 
     @property
     def slots(self) -> int:
@@ -65,13 +67,15 @@ class Threads:
         """Yield (index of the item, function(item, threads)) as they are done.
 
         Whole items side by side use the processors better than the threads inside one item, much of which is serial.
+        The last ones, fewer than there are threads, share these.
         """
         side_by_side = max(1, min(self._threads, len(items)))
-        own = max(1, self._threads // side_by_side)
+        own, last = max(1, self._threads // side_by_side), len(items) % side_by_side
+        shares = [own] * (len(items) - last) + [max(1, self._threads // max(1, last))] * last
         cv2.setNumThreads(own)
         pool = ThreadPoolExecutor(side_by_side)
         try:
-            futures = {pool.submit(function, item, own): index for index, item in enumerate(items)}
+            futures = {pool.submit(function, *shared): i for i, shared in enumerate(zip(items, shares, strict=True))}
             for future in as_completed(futures):
                 yield futures[future], future.result()
         finally:
@@ -80,7 +84,7 @@ class Threads:
 
     def __enter__(self) -> Self:
         RECENT.max_bytes = main_process_bytes()
-        _core.keep_memory(True)
+        self._memory.enter_context(kept_memory())
         return self
 
     def __exit__(
@@ -89,4 +93,4 @@ class Threads:
         """Give back the memory; threads end with each `map`."""
         RECENT.max_bytes = WORKER_BYTES
         RECENT.clear()
-        _core.keep_memory(False)
+        self._memory.close()

@@ -8,7 +8,6 @@ hash in the 512 bytes before its HDF5 part, which HDF5 leaves to the user: a dam
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,7 +17,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import cv2
-import h5py
 import numpy as np
 import scipy
 
@@ -47,30 +45,31 @@ class StageStore:
     def read(self, stage: str, key: str, kind: type[T]) -> T | None:
         """Return a result of dataclass `kind`; None where it is not there, or not whole."""
         try:
-            content = self.path(stage, key).read_bytes()
+            with self.path(stage, key).open("rb") as file:
+                content = storage.content_of(file)
         except OSError:
             return None
-        if content[:_BLOCK_BYTES] != _seal(content):
+        if content[:_BLOCK_BYTES].tobytes() != _seal(content):
             return None
         return self._read(content, stage, key, kind)
 
-    def _read(self, content: bytes, stage: str, key: str, kind: type[T]) -> T | None:
+    def _read(self, content: storage.Content, stage: str, key: str, kind: type[T]) -> T | None:
         try:
-            with h5py.File(io.BytesIO(content), "r") as file:
+            with storage.opened(content) as file:
                 if (file.attrs["schema"], file.attrs["stage"], file.attrs["key"]) != (SCHEMA, stage, key):
                     return None
-                return storage.read_fields(file, kind)
+                return storage.read_fields(file, content, kind)
         except (InputError, OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError):
             return None
 
-    def write(self, stage: str, key: str, value: Any) -> bytes:
+    def write(self, stage: str, key: str, value: Any) -> storage.Content:
         """Write a result under a temporary name, seal it, and rename it; return what the file then holds."""
         with storage.replacing(self.path(stage, key)) as temporary:
-            with h5py.File(temporary, "w", track_order=True, userblock_size=_BLOCK_BYTES) as file:
+            with storage.create(temporary, _BLOCK_BYTES) as file:
                 file.attrs["schema"], file.attrs["stage"], file.attrs["key"] = SCHEMA, stage, key
                 storage.write_fields(file, value)
             with temporary.open("r+b") as plain:
-                content = plain.read()
+                content = storage.content_of(plain)
                 plain.seek(0)
                 plain.write(_seal(content))
         return content
@@ -94,9 +93,9 @@ class StageStore:
             path.unlink(missing_ok=True)
 
 
-def _seal(content: bytes) -> bytes:
+def _seal(content: storage.Content) -> bytes:
     """Return the block before the HDF5 part of a file that holds `content` after it."""
-    digest = hashlib.sha256(memoryview(content)[_BLOCK_BYTES:]).hexdigest()
+    digest = hashlib.sha256(content[_BLOCK_BYTES:].data).hexdigest()
     return (_MARK + digest.encode() + b"\n").ljust(_BLOCK_BYTES, b"\0")
 
 

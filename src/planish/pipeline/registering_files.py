@@ -27,6 +27,7 @@ from planish.pipeline.stages import (
     PatternStage,
     Source,
     View,
+    estimate_pattern,
     find_keypoints,
     find_keypoints_and_footprint,
     look_at,
@@ -257,13 +258,16 @@ class _Run:
                     found |= {item.name: sums[sensor] for item in items}
                     continue
                 groups = [tuple(items[i : i + CAPTURES_PER_SUM]) for i in range(0, len(items), CAPTURES_PER_SUM)]
-                parts = [PatternStage(store, options, group) for group in groups]
-                self._count("pattern", sum_pattern, parts)
-                parts = [sums[sensor], *parts] if sensor in sums else parts
-                whole = parts[0] if len(parts) == 1 else PatternStage(store, options, parts=tuple(parts))
-                if len(parts) > 1:
-                    self._count("pattern", sum_pattern, [whole])
                 captures[sensor] = captures.get(sensor, 0) + len(items)
+                # Of one capture, nobody can tell pattern from texture.
+                make = estimate_pattern if captures[sensor] > 1 else sum_pattern
+                new = [PatternStage(store, options, group) for group in groups]
+                parts = [sums[sensor], *new] if sensor in sums else new
+                whole = parts[0]
+                if len(parts) > 1:
+                    self._count("pattern", sum_pattern, new)
+                    whole = PatternStage(store, options, parts=tuple(parts))
+                self._count("pattern", make, [whole])
                 sums[sensor] = whole
                 if captures[sensor] > 1:
                     found |= {item.name: whole for item in items}

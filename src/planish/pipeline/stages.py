@@ -7,7 +7,8 @@ kept for a while (`RECENT`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +23,7 @@ from planish.evaluation.overlap import evaluate_overlap
 from planish.execution.recent import RECENT
 from planish.execution.store import StageStore, content_key
 from planish.geometry import Array
-from planish.measurement import Map, Measurement
+from planish.measurement import SCHEMA, Map, Measurement
 from planish.options import thread_count
 from planish.pipeline.options import RegisterOptions
 from planish.registration.candidates.footprint import Footprint, footprint
@@ -75,8 +76,10 @@ def look_at(path: Path, threads: int) -> Source:
     """Return what a run needs to know of a measurement file before it starts."""
     if not path.is_file():
         raise InputError(path, "no such file", "a measurement written by `planish measure`")
-    found, sha256 = path.stat(), storage.sha256(path)
-    m = RECENT.get(("measurement", sha256), lambda: Measurement.load(path))
+    # One reading for both: what is measured is what is named by its hash.
+    found, content = path.stat(), storage.read_content(path, SCHEMA)
+    sha256 = hashlib.sha256(content.data).hexdigest()
+    m = RECENT.get(("measurement", sha256), lambda: Measurement.of_content(content, path))
     return Source(
         m.name, path, sha256, found.st_size, found.st_mtime_ns, ground_sample_distance(m), sensor_key(m), centroid(m)
     )
@@ -138,7 +141,17 @@ class PatternStage:
 
     def pattern(self, threads: int) -> FixedPattern:
         """Return the pattern, kept for the next ones of the sensor."""
-        return RECENT.get(("pattern", self.key), lambda: self.sums(threads)[0].pattern(self.members))
+        return self._estimate(lambda: self.sums(threads)[0], threads)
+
+    def make(self, threads: int) -> bool:
+        """Make sums and pattern for the texture images that come next; return whether the sums were there."""
+        sums, there = self.sums(threads)
+        if not there:
+            self._estimate(lambda: sums, threads)
+        return there
+
+    def _estimate(self, sums: Callable[[], PatternSums], threads: int) -> FixedPattern:
+        return RECENT.get(("pattern", self.key), lambda: sums().pattern(self.members, threads))
 
 
 @dataclass(frozen=True)
@@ -245,6 +258,11 @@ def load(source: Source) -> Measurement:
 def sum_pattern(stage: PatternStage, threads: int) -> bool:
     """Make the sums over captures of a sensor; return whether they were there."""
     return stage.sums(threads)[1]
+
+
+def estimate_pattern(stage: PatternStage, threads: int) -> bool:
+    """Make the pattern of a sensor, from all its captures; return whether their sums were there."""
+    return stage.make(threads)
 
 
 def find_keypoints(view: View, threads: int) -> bool:

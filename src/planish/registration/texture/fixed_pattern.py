@@ -69,7 +69,7 @@ def estimate_fixed_patterns(
             groups = (taken[i : i + CAPTURES_PER_SUM] for i in range(0, len(taken), CAPTURES_PER_SUM))
             sums = add_sums(sum_captures(group, options, threads) for group in groups)
             names = [m.name for m in taken]
-            found |= dict.fromkeys(names, sums.pattern(names))
+            found |= dict.fromkeys(names, sums.pattern(names, thread_count(threads)))
     return found
 
 
@@ -120,21 +120,24 @@ class PatternSums:
     cameras: dict[str, tuple[BandSums, BandSums]] = field(default_factory=dict)
     still: StillTexture = field(default_factory=StillTexture)
 
-    def pattern(self, members: Iterable[str]) -> FixedPattern:
+    def pattern(self, members: Iterable[str], threads: int = 1) -> FixedPattern:
         """Return the pattern that these sums tell of; `members` are the names of their captures."""
-        cameras, stood_still = {}, self.still.share()
-        for name, bands in self.cameras.items():
-            share = self.still.at_camera(stood_still, bands[0].moments.shape, own=name == self.organised_on)
-            fine, coarse = (
-                BandPattern(
-                    sums.weighted_sum,
-                    sums.weight,
-                    *pattern_variances(sums.moments, sums.weighted_sum, sums.weight, share, cells),
-                )
-                for sums, cells in zip(bands, BAND_CELLS_PX, strict=True)
-            )
-            cameras[name] = CameraPattern((fine, coarse))
-        return FixedPattern(cameras, frozenset(members))
+        stood_still = self.still.share()
+        shares = {
+            name: self.still.at_camera(stood_still, fine.moments.shape, own=name == self.organised_on)
+            for name, (fine, _) in self.cameras.items()
+        }
+
+        def band(name: str, index: int) -> BandPattern:
+            sums = self.cameras[name][index]
+            maps = sums.weighted_sum, sums.weight
+            return BandPattern(*maps, *pattern_variances(sums.moments, *maps, shares[name], BAND_CELLS_PX[index]))
+
+        jobs = [partial(band, name, index) for name in self.cameras for index in range(len(BAND_CELLS_PX))]
+        made = iter(side_by_side(jobs, threads))
+        return FixedPattern(
+            {name: CameraPattern((next(made), next(made))) for name in self.cameras}, frozenset(members)
+        )
 
 
 def sum_captures(
