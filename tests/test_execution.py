@@ -237,6 +237,19 @@ def test_kept_memory_of_overlapping_blocks_goes_back_after_the_last_one():
     assert resident_mib() - before < 0.1 * size_mib
 
 
+@pytest.mark.parametrize("allowed", [True, False])
+def test_huge_pages_are_afterwards_what_they_were_before(allowed):
+    before = _core.allow_huge_pages(False)
+    try:
+        # Where the system knows no such setting, they are always allowed.
+        can_be_refused = not _core.allow_huge_pages(allowed)
+        with kept_memory():
+            pass
+        assert _core.allow_huge_pages(True) == (allowed or not can_be_refused)
+    finally:
+        _core.allow_huge_pages(before)
+
+
 @ONLY_GLIBC
 def test_what_lies_free_between_kept_arrays_goes_back_to_the_system():
     size_mib = 300

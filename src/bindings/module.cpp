@@ -33,12 +33,16 @@ void release_memory() {
 #endif
 }
 
-/// Whether what is touched for the first time may come in huge pages. In a virtual machine, memory in pieces of that
-/// size is what has been handed back to the host: to get it again takes several times as long as to have small pages
-/// cleared, and these are used again and again here.
-void allow_huge_pages([[maybe_unused]] bool allow) {
+/// Whether what is touched for the first time may come in huge pages; returns whether it might. In a virtual machine,
+/// memory in pieces of that size is what has been handed back to the host: to get it again takes several times as long
+/// as to have small pages cleared, and these are used again and again here.
+bool allow_huge_pages([[maybe_unused]] bool allow) {
 #if defined(PR_SET_THP_DISABLE)
+    const bool allowed = prctl(PR_GET_THP_DISABLE, 0UL, 0UL, 0UL, 0UL) == 0;
     prctl(PR_SET_THP_DISABLE, allow ? 0UL : 1UL, 0UL, 0UL, 0UL);
+    return allowed;
+#else
+    return true;
 #endif
 }
 
@@ -53,7 +57,6 @@ void keep_memory(bool keep) {
     // What one thread has freed serves all others.
     mallopt(M_ARENA_MAX, keep ? 1 : 0);
     page_pool().pause(keep);
-    allow_huge_pages(!keep);
     if (!keep) release_memory();
 #else
     static_cast<void>(keep);
@@ -69,6 +72,8 @@ NB_MODULE(PLANISH_MODULE, m) {
           "Gives the system back what the allocator keeps of freed memory, where it can be told to.");
     m.def("keep_memory", &keep_memory, "keep"_a, nanobind::call_guard<nanobind::gil_scoped_release>(),
           "Lets the allocator keep freed memory, up to 2 GiB, for the next arrays, or no longer.");
+    m.def("allow_huge_pages", &allow_huge_pages, "allow"_a,
+          "Whether the system may give this process huge pages; returns whether it might before.");
     bind_decoding(m);
     bind_sensing(m);
     bind_checks(m);

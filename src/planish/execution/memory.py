@@ -23,18 +23,20 @@ class _Kept:
     """What this process keeps: from the first block's begin to the last one's end."""
 
     def __init__(self) -> None:
-        self._lock, self._inside = threading.Lock(), 0
+        self._lock, self._inside, self._huge_pages = threading.Lock(), 0, True
 
     def enter(self) -> None:
         with self._lock:
             if self._inside == 0:
                 _core.keep_memory(True)
+                self._huge_pages = _core.allow_huge_pages(False)
             self._inside += 1
 
     def leave(self) -> None:
         with self._lock:
             self._inside -= 1
             if self._inside == 0:
+                _core.allow_huge_pages(self._huge_pages)
                 _core.keep_memory(False)
 
 
