@@ -144,6 +144,7 @@ def find_consensus(
     keep: int,
     threads: int,
 ) -> tuple[F64, NDArray[np.int32]]: ...
+def count_places(points: F64, distinct: float) -> int: ...
 
 _Maps = tuple[F32, F32, NDArray[np.uint8]]
 _Normal = tuple[F64, F64, float, int, float, F64]
