@@ -37,7 +37,7 @@ def nearest_pixels(
     points_b: F32, stride: int, camera_a: F64, height_a: int, width_a: int, T_a_b: F64
 ) -> tuple[NDArray[np.int32], F64]: ...
 def joint_values(
-    maps: tuple[F32, F32, F32, F32, F32, F32],
+    maps: tuple[F32, F32, F32, F32, F32, F32, F32],
     texture: F32,
     slopes: F32,
     centre: F64,
