@@ -26,8 +26,8 @@ struct JointValueOptions {
     int spacing;             ///< every n-th pixel along both axes
 };
 
-/// The channels `joint::` of every n-th pixel (height, width, joint::channels), with points corrected for interpolation and
-/// for the blur.
+/// The channels `joint::` of every n-th pixel (height, width, joint::channels), with points corrected for interpolation
+/// and for the blur.
 ///
 /// The gradient of the texture is the tangent vector G with G . X_u = f_u, G . X_v = f_v, from its slopes f_u, f_v per
 /// pixel of the whole resolution and the tangents X_u, X_v; where no slopes are given they are differences, NaN at the
