@@ -75,6 +75,9 @@ class StoredMaps(RefinementMaps):
         """Return the maps, read anew."""
         return pickle.loads(self.path.read_bytes())
 
+    def begin(self) -> None:
+        """Do nothing: they have been made."""
+
 
 def _store(item: Any, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)

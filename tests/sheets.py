@@ -84,7 +84,7 @@ def texture_gradient(texture, surface):
     """Gradient (H, W, 3) of a texture (H, W) along a surface [1/mm], as the refinement sees it."""
     nothing = np.zeros(texture.shape, np.float32)
     points = surface.points_sensor
-    maps = (points, nothing, surface.normals_sensor, surface.tangents_sensor, nothing, nothing)
+    maps = (points, nothing, surface.normals_sensor, surface.tangents_sensor, nothing, nothing, nothing)
     slopes = np.empty((0, 0, 2), np.float32)
     return _core.joint_values(maps, texture, slopes, np.zeros(3), 0.0, 0.0, 1, 2)[..., 8:11]
 

@@ -14,6 +14,10 @@ def square(item, threads):
     return item * item
 
 
+def threads_given(item, threads):
+    return threads
+
+
 def refuse(item, threads):
     raise InputError("item", f"found {item}", "another one")
 

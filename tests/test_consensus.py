@@ -176,3 +176,9 @@ def test_places_nearer_than_the_limit_count_once():
     assert count_places(points, 2.0) == 2
     assert count_places(points, 0.4) == 5
     assert count_places(points[:0], 2.0) == 0
+
+
+@pytest.mark.parametrize("distinct_mm", [0.5, 3.0, 20.0])
+def test_places_are_counted_in_their_order(distinct_mm):
+    points = np.random.default_rng(5).normal(0, 10, (150, 3))
+    assert count_places(points, distinct_mm) == reference.places(points, distinct_mm)

@@ -36,6 +36,12 @@ def test_threads_do_every_item_once(threads):
         assert sorted(executor.map(tasks.square, range(7))) == [(i, i * i) for i in range(7)]
 
 
+def test_the_last_items_share_the_threads_that_are_left():
+    with Threads(4) as executor:
+        assert dict(executor.map(tasks.threads_given, range(6))) == {0: 1, 1: 1, 2: 1, 3: 1, 4: 2, 5: 4}
+        assert dict(executor.map(tasks.threads_given, range(2))) == {0: 2, 1: 2}
+
+
 def test_worker_processes_do_every_item_once(pool):
     assert sorted(pool.map(tasks.square, range(20))) == [(i, i * i) for i in range(20)]
     assert len(pool.pids) == 2
@@ -201,15 +207,6 @@ def resident_mib():
 ONLY_GLIBC = pytest.mark.skipif(
     platform.libc_ver()[0] != "glibc", reason="only its allocator can be told what to do with freed memory"
 )
-
-
-@pytest.mark.parametrize(
-    ("threads", "items", "expected"),
-    [(2, 5, [1, 1, 1, 1, 2]), (4, 6, [1, 1, 1, 1, 2, 2]), (8, 3, [2, 2, 2]), (2, 4, [1, 1, 1, 1]), (1, 2, [1, 1])],
-)
-def test_the_last_items_share_the_threads_that_others_no_longer_need(threads, items, expected):
-    with Threads(threads) as executor:
-        assert [own for _, own in sorted(executor.map(lambda _, own: own, range(items)))] == expected
 
 
 @ONLY_GLIBC

@@ -24,18 +24,18 @@ NO_SLOPES = np.empty((0, 0, 2), np.float32)
 def maps():
     m, rng = sheets.noisy(sheets.quiet("b"), 1), np.random.default_rng(2)
     surface = fit_surface(m)
-    texture, by_blur = (rng.standard_normal(m.shape).astype(np.float32) for _ in range(2))
+    texture, by_blur, by_spline = (rng.standard_normal(m.shape).astype(np.float32) for _ in range(3))
     texture[40:60, 30:90] = np.nan
     sigma = rng.uniform(0.001, 0.01, m.shape).astype(np.float32)
-    points = np.ascontiguousarray(m.points_sensor)
-    return points, m.sigma_mm, surface.normals_sensor, surface.tangents_sensor, 0.01 * by_blur, sigma, texture
+    points, moved = np.ascontiguousarray(m.points_sensor), (0.01 * by_blur, 0.01 * by_spline)
+    return points, m.sigma_mm, surface.normals_sensor, surface.tangents_sensor, moved[0], sigma, texture, moved[1]
 
 
 def values_of(maps, centre, spacing, threads=2, slopes=NO_SLOPES):
     texture = np.ascontiguousarray(maps[6][::spacing, ::spacing])
     if spacing > 1 and slopes is NO_SLOPES:
         slopes = np.zeros((*texture.shape, 2), np.float32)
-    return _core.joint_values(maps[:6], texture, slopes, centre, BLUR, BLUR_SIGMA, spacing, threads)
+    return _core.joint_values((*maps[:6], maps[7]), texture, slopes, centre, BLUR, BLUR_SIGMA, spacing, threads)
 
 
 @pytest.mark.parametrize("spacing", [1, 2, 4])

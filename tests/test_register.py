@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,8 @@ from planish.rig import Rig
 
 #: 1.3 mm per pixel: a hundredth of a pixel along the surface, far less along the normal.
 PLACE_TOLERANCE_MM = 0.05
+#: Threads that wait longer for each other never meet.
+WAIT_S = 60.0
 PLACES = {"left": np.eye(4), "middle": sheets.T_TRUE, "right": sheets.T_TRUE @ exp_se3([0, 0.02, 0.4, 70, 30, 0])}
 
 
@@ -61,6 +64,27 @@ def test_maps_for_the_refinement_are_made_once_and_only_where_a_pair_is_accepted
     assert register_pair(left, middle, options).status == "accepted"
     assert register_pair(middle, left, options).status == "accepted"
     assert sorted(made) == ["left", "middle"]
+
+
+def test_maps_that_another_thread_is_making_are_not_waited_for_at_first():
+    made, begun, go_on = [], threading.Event(), threading.Event()
+
+    def make():
+        made.append(threading.get_ident())
+        begun.set()
+        assert go_on.wait(WAIT_S)
+        return {}, {}
+
+    maps = RefinementMaps(make)
+    other = threading.Thread(target=maps.begin)
+    other.start()
+    assert begun.wait(WAIT_S)
+    maps.begin()
+    go_on.set()
+    assert maps.get() == ({}, {})
+    other.join(WAIT_S)
+    maps.begin()
+    assert made == [other.ident]
 
 
 def test_what_shows_no_texture_or_no_surface_stays_alone_with_a_reason(registration):

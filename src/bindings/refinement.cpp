@@ -19,7 +19,7 @@ Out<float, 3> joint_values(const nb::tuple& maps, const In<float, 2>& texture, c
                            const In<double, 1>& centre, double blur, double blur_sigma, int spacing, int threads) {
     const auto three = [&](int k) { return view<float, 3>(nb::cast<In<float, 3>>(maps[k])); };
     const auto two = [&](int k) { return view<float, 2>(nb::cast<In<float, 2>>(maps[k])); };
-    planish::JointSources in{three(0), two(1), three(2), three(3), two(4), two(5), view<float, 2>(texture), {}};
+    planish::JointSources in{three(0), two(1), three(2), three(3), two(4), two(5), two(6), view<float, 2>(texture), {}};
     if (slopes.size() > 0) in.slopes = view<float, 3>(slopes);
     const planish::JointValueOptions options{Eigen::Vector3d(centre(0), centre(1), centre(2)).cast<float>(),
                                              static_cast<float>(blur), static_cast<float>(blur_sigma), spacing};

@@ -9,6 +9,7 @@
 #include "core/align_texture.hpp"
 #include "core/chart.hpp"
 #include "core/consensus.hpp"
+#include "core/count_places.hpp"
 #include "core/joint.hpp"
 #include "core/joint_lookup.hpp"
 #include "core/joint_pull.hpp"
@@ -103,6 +104,12 @@ nb::tuple find_consensus(const In<double, 2>& points_a, const In<double, 2>& poi
         *support.image.at(h, 1) = found[h].support;
     }
     return nb::make_tuple(transforms.maps(), support.map());
+}
+
+int count_places(const In<double, 2>& points, double distinct) {
+    std::vector<Eigen::Vector3d> places;
+    for (std::size_t i = 0; i < points.shape(0); ++i) places.emplace_back(points(i, 0), points(i, 1), points(i, 2));
+    return planish::count_places(places, distinct);
 }
 
 planish::JointMaps joint_maps(const nb::tuple& maps) {
@@ -358,6 +365,7 @@ void bind_registration(nb::module_& m) {
     m.def("chart_surface", &chart_surface, "source"_a, "points"_a, "normals"_a, "nodes"_a, "step"_a, "threads"_a);
     m.def("find_consensus", &find_consensus, "points_a"_a, "points_b"_a, "frames_a"_a, "frames_b"_a, "tolerance"_a,
           "frame_angle"_a, "normal_angle"_a, "distinct"_a, "keep"_a, "threads"_a);
+    m.def("count_places", &count_places, "points"_a, "distinct"_a);
     m.attr("TUKEY") = planish::kTukey;
     m.def("joint_normal_equations", &joint_normal_equations, "maps_a"_a, "camera_a"_a, "maps_b"_a, "T_a_b"_a, "about"_a,
           "options"_a, "weights"_a, "with_residuals"_a, "threads"_a);

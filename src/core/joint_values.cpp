@@ -50,8 +50,8 @@ void write_gradient(const float* tangents, float f_u, float f_v, float* out) {
 
 /// Everything about a pixel but the texture: `v` and `u` are those of the whole resolution.
 void write_point(const JointSources& in, const JointValueOptions& o, int v, int u, float* out) {
-    const Eigen::Vector3f point = Eigen::Vector3f::Map(in.points.at(v, u)),
-                          n = Eigen::Vector3f::Map(in.normals.at(v, u));
+    const Eigen::Vector3f n = Eigen::Vector3f::Map(in.normals.at(v, u)),
+                          point = Eigen::Vector3f::Map(in.points.at(v, u)) - *in.by_spline.at(v, u) * n;
     const Eigen::Vector3f ray = point - o.centre;
     const float by_blur = *in.by_blur.at(v, u), uncertain = o.blur_sigma * by_blur;
     const float sigma = *in.sigma.at(v, u), along = ray.dot(n);

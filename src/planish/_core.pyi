@@ -38,7 +38,7 @@ def nearest_pixels(
     points_b: F32, stride: int, camera_a: F64, height_a: int, width_a: int, T_a_b: F64
 ) -> tuple[NDArray[np.int32], F64]: ...
 def joint_values(
-    maps: tuple[F32, F32, F32, F32, F32, F32],
+    maps: tuple[F32, F32, F32, F32, F32, F32, F32],
     texture: F32,
     slopes: F32,
     centre: F64,
@@ -145,6 +145,7 @@ def find_consensus(
     keep: int,
     threads: int,
 ) -> tuple[F64, NDArray[np.int32]]: ...
+def count_places(points: F64, distinct: float) -> int: ...
 
 _Maps = tuple[F32, F32, NDArray[np.uint8]]
 _Normal = tuple[F64, F64, float, int, float, F64]

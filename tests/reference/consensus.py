@@ -27,6 +27,15 @@ def cells(points_a, distinct_mm):
     return len({tuple(cell) for cell in np.floor(points_a / distinct_mm).astype(int)})
 
 
+def places(points, distinct_mm):
+    """Number of points at least so far from each that was counted before them."""
+    counted = []
+    for point in points:
+        if all(np.linalg.norm(point - other) > distinct_mm for other in counted):
+            counted.append(point)
+    return len(counted)
+
+
 def best_of_all_pairs(
     points_a, points_b, frames_a, frames_b, tolerance_mm, normal_angle_rad, frame_angle_rad, distinct_mm
 ):

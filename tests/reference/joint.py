@@ -123,9 +123,10 @@ def tile_pulls(maps_a, camera_a, maps_b, T_a_b, about, weights, max_distance, mi
 
 def level_values(maps, centre, blur, blur_sigma, spacing):
     """Channels (h, w, 12) of every n-th pixel, those of the texture's gradient left NaN."""
-    points, sigma, normals, _, by_blur, texture_sigma, texture = (
+    points, sigma, normals, _, by_blur, texture_sigma, texture, by_spline = (
         np.asarray(m[::spacing, ::spacing], float) for m in maps
     )
+    points = points - by_spline[..., None] * normals
     ray = points - centre
     cosine = (ray * normals).sum(-1) / np.linalg.norm(ray, axis=-1)
     out = np.full((*sigma.shape, 12), np.nan)

@@ -67,15 +67,18 @@ class Threads:
         """Yield (index of the item, function(item, threads)) as they are done.
 
         Whole items side by side use the processors better than the threads inside one item, much of which is serial.
-        The last ones, fewer than there are threads, share these.
+        Those that begin when fewer are left than there are threads share these.
         """
         side_by_side = max(1, min(self._threads, len(items)))
-        own, last = max(1, self._threads // side_by_side), len(items) % side_by_side
-        shares = [own] * (len(items) - last) + [max(1, self._threads // max(1, last))] * last
-        cv2.setNumThreads(own)
+
+        def threads(index: int) -> int:
+            begins_later = index >= side_by_side
+            return self._threads // (min(side_by_side, len(items) - index) if begins_later else side_by_side)
+
+        cv2.setNumThreads(max(1, self._threads // side_by_side))
         pool = ThreadPoolExecutor(side_by_side)
         try:
-            futures = {pool.submit(function, *shared): i for i, shared in enumerate(zip(items, shares, strict=True))}
+            futures = {pool.submit(function, item, threads(index)): index for index, item in enumerate(items)}
             for future in as_completed(futures):
                 yield futures[future], future.result()
         finally:

@@ -164,16 +164,7 @@ def _members(
 
 def count_places(points: Array, distinct_mm: float) -> int:
     """Return how many of points (N, 3) are at least `distinct_mm` apart, chosen greedily in their order."""
-    if len(points) == 0:
-        return 0
-    neighbours = cKDTree(points).query_ball_point(points, distinct_mm)
-    taken = np.zeros(len(points), bool)
-    blocked = np.zeros(len(points), bool)
-    for i, near in enumerate(neighbours):
-        if not blocked[i]:
-            taken[i] = True
-            blocked[near] = True
-    return int(taken.sum())
+    return _core.count_places(np.ascontiguousarray(points, float), distinct_mm)
 
 
 def _chance(points_a: Array, options: ConsensusOptions) -> float:

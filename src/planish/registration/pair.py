@@ -195,6 +195,9 @@ def refine_pair(
     if extent is None:
         return None
     centre, radius = extent
+    # Pairs that are tried side by side share measurements: of two, the one that no other pair is at comes first.
+    for side in (a, b):
+        side.refinement.begin()
     tile = tile_size_px(b.measurement)
     sides_a, sides_b = leave_out(a.fit_sides, without[0]), leave_out(b.sides, without[1])
     return refine(sides_a, sides_b, T_a_b, centre, radius, tile, steps, threads)

@@ -47,6 +47,15 @@ class RefinementMaps:
                 self._made = self._make()
             return self._made
 
+    def begin(self) -> None:
+        """Make what `make` makes, unless another thread is at it: then there may be something else to do before."""
+        if self._lock.acquire(blocking=False):
+            try:
+                if self._made is None:
+                    self._made = self._make()
+            finally:
+                self._lock.release()
+
 
 @dataclass(frozen=True)
 class Prepared:

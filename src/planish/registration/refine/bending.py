@@ -94,21 +94,37 @@ def displacement(tangents: Map, reach: Array) -> Map:
     tangents = tangents[::_STRIDE, ::_STRIDE]
     known = np.isfinite(tangents[..., 2])
     share = _smooth(known.astype(np.float32))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        means = [_smooth(np.where(known, tangents[..., c], np.float32(0))) / share for c in range(6)]
-    x = np.where(share[..., None] > _LEAST_KNOWN, np.stack(means, -1), np.nan).reshape(*share.shape, 2, 3)
     if min(share.shape) < 2:
         return np.zeros((height, width, 2), np.float32)
-    by_v, by_u = np.gradient(x, _SQUARE_PX, axis=(0, 1))
-    mixed = (by_u[..., 1, :] + by_v[..., 0, :]) / 2
-    bent = np.stack([by_u[..., 0, :], mixed, mixed, by_v[..., 1, :]], -2)
-    metric = np.einsum("yxik,yxjk->yxij", x, x)
-    whole = np.isfinite(bent).all((-1, -2)) & (np.linalg.det(np.nan_to_num(metric)) > 0)
-    moved = np.zeros((*share.shape, 2), np.float32)
-    symbols = np.linalg.solve(metric[whole], np.einsum("nmk,npk->nmp", x[whole], bent[whole]))
-    moved[whole] = np.einsum("klp,nlp->nk", reach.reshape(2, 2, 4), symbols) / 2
+    enough = np.where(share > _LEAST_KNOWN, share, np.float32(np.nan))[..., None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x_u, x_v = (
+            np.asarray(_smooth(np.where(known[..., None], tangents[..., three], np.float32(0))) / enough, np.float32)
+            for three in (slice(3), slice(3, 6))
+        )
+        (uv, uu), (vv, vu) = (_by_pixel(x) for x in (x_u, x_v))
+        bent = uu, np.float32(0.5) * (uv + vu), vv
+        along_u, along_v = (np.stack([_dot(t, b) for b in bent]) for t in (x_u, x_v))
+        g_uu, g_uv, g_vv = _dot(x_u, x_u), _dot(x_u, x_v), _dot(x_v, x_v)
+        symbols = np.stack([g_vv * along_u - g_uv * along_v, g_uu * along_v - g_uv * along_u])
+        determinant = g_uu * g_vv - g_uv**2
+        # Bent along u and v and along v and u is the same.
+        once = np.stack([reach[..., 0, 0], reach[..., 0, 1] + reach[..., 1, 0], reach[..., 1, 1]], -1)
+        moved = np.einsum("klp,lpyx->yxk", once.astype(np.float32) / 2, symbols) / determinant[..., None]
+    moved[~(np.isfinite(moved).all(-1) & (determinant > 0))] = 0
     # The centre of a square of pixels is the middle of its own.
     return cv2.resize(moved, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def _by_pixel(x: Map) -> tuple[Map, Map]:
+    """Derivatives of the means of squares (h, w, 3) along v and along u, per pixel."""
+    by_v, by_u = (np.asarray(np.gradient(x, _SQUARE_PX, axis=axis), np.float32) for axis in (0, 1))
+    return by_v, by_u
+
+
+def _dot(a: Map, b: Map) -> Map:
+    """Products (h, w) of vectors (h, w, 3)."""
+    return np.asarray(a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2])
 
 
 def moved_back(texture: Map, moved: Map) -> Map:
@@ -136,6 +152,6 @@ def _squares(image: Map, step: int) -> Map:
 
 def _smooth(image: Map) -> Map:
     """Means over squares of pixels, and their neighbours."""
-    height, width = (-(-n * _STRIDE // _SQUARE_PX) for n in image.shape)
+    height, width = (-(-n * _STRIDE // _SQUARE_PX) for n in image.shape[:2])
     small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
     return cv2.GaussianBlur(small, (0, 0), 1.0, borderType=cv2.BORDER_CONSTANT)

@@ -35,6 +35,8 @@ _MAX_SLOPE = 3.0
 _BIN_PX = 2
 #: Scale of the local fits (standard deviation of the window), and distance of the places where they are made [px].
 _SCALE_PX, _STEP_PX = 5.0, 4
+#: How much farther from its first pixel the middle of a square of that distance lies than that of such a mean [px].
+_OFFSET = (_STEP_PX - _BIN_PX) // 2
 #: Half the window, in scales.
 _REACH = 2.5
 #: Powers of (u, v) in a fit of second order.
@@ -76,7 +78,7 @@ def height_by_blur(measurement: Measurement, surface: Surface, threads: int = 1)
     if other in rig.cameras and in_b is not None:
         seen = known & np.isfinite(in_b[..., 0])
         places = _Places.of(maps[0], maps[1], centre, seen)
-        fits, enough = places.fits([in_b[..., 0], in_b[..., 1], position, light], threads)
+        fits, enough = places.fits([in_b, position, light], threads)
         with np.errstate(all="ignore"):
             shift, laplacian, by_b = _phase_shifts(*fits)
             per_mm = places.motion(rig.cameras[other])
@@ -110,12 +112,12 @@ def _around(mask: Mask) -> tuple[slice, slice]:
 class _Places:
     """Every few pixels within `known` (H, W), where local fits are made: rows and columns of `whole`, the means.
 
-    Points and normals (H, W, 3) are those of the same pixels, `centre` is where their rays start.
+    Points, directions of their rays and normals (n, 3) are those of the places.
     """
 
-    points: Map
+    points: Array
+    rays: Array
     normals: Map
-    centre: Array
     known: Mask
     whole: Mask
     rows: Index
@@ -123,38 +125,30 @@ class _Places:
 
     @classmethod
     def of(cls, points: Map, normals: Map, centre: Array, known: Mask) -> Self:
-        """Return the places within what is known."""
+        """Return the places within what is known; points and normals (H, W, 3), `centre` is where rays start."""
         whole = np.isfinite(_means(np.where(known, np.float32(0), np.float32(np.nan))))
         step = _STEP_PX // _BIN_PX
         rows, columns = (index * step for index in np.nonzero(whole[::step, ::step]))
-        return cls(points, normals, centre, known, whole, rows, columns)
+        pixels = rows * _BIN_PX, columns * _BIN_PX
+        at = points[pixels].astype(float)
+        return cls(at, _directions(at - centre), normals[pixels], known, whole, rows, columns)
 
     def fits(self, fields: list[Map], threads: int) -> tuple[list[Array], Mask]:
-        """Fits (6, n) to the fields (H, W), of the last one's logarithm, and where there are enough pixels for them."""
-        means = [_means(np.where(self.known, f, np.float32(np.nan))) for f in fields]
+        """Fits (6, n) to fields (H, W) or (H, W, C), of the last one's logarithm, and where pixels are enough for them.
+
+        Of what is not known, the fits see nothing.
+        """
+        means = [mean for f in fields for mean in cv2.split(_means(f))]
         means[-1] = np.log(np.where(self.whole, means[-1], np.float32(1)))
         return _quadratic_fits(means, self.whole, self.rows, self.columns, threads)
 
-    @property
-    def _pixels(self) -> tuple[Index, Index]:
-        return self.rows * _BIN_PX, self.columns * _BIN_PX
-
-    def _rays(self) -> tuple[Array, Array]:
-        points = self.points[self._pixels].astype(float)
-        rays = points - self.centre
-        return points, rays / np.sqrt(np.einsum("ni,ni->n", rays, rays))[:, None]
-
     def motion(self, device: Camera) -> Array:
         """Motion (n, 2) of the places' points in another device as they move by 1 mm along their rays [px]."""
-        points, rays = self._rays()
-        return np.asarray(device.project(points + rays) - device.project(points))
+        return np.asarray(device.project(self.points + self.rays) - device.project(self.points))
 
     def grazed_by(self, device: Camera) -> Mask:
         """Which places (n) a device sees too obliquely."""
-        points, _ = self._rays()
-        rays = points - device.center_sensor
-        rays /= np.sqrt(np.einsum("ni,ni->n", rays, rays))[:, None]
-        cosines = -np.einsum("ni,ni->n", rays, self.normals[self._pixels])
+        cosines = -np.einsum("ni,ni->n", _directions(self.points - device.center_sensor), self.normals)
         return np.asarray(cosines < 1 / np.hypot(1, _MAX_SLOPE))
 
     def near(self, chosen: Mask) -> Mask:
@@ -163,7 +157,7 @@ class _Places:
 
     def spread(self, along_ray_mm: Array, use: Mask) -> Map:
         """Displacement along the normals (H, W), from those of the places (n) along their rays; 0 where unknown."""
-        height = along_ray_mm * np.einsum("ni,ni->n", self._rays()[1], self.normals[self._pixels])
+        height = along_ray_mm * np.einsum("ni,ni->n", self.rays, self.normals)
         return np.where(self.known, self._all_over(height, use), np.float32(0))
 
     def _all_over(self, values: Array, use: Mask) -> Map:
@@ -173,9 +167,14 @@ class _Places:
         return _spread(sparse, self.known.shape)
 
 
+def _directions(rays: Array) -> Array:
+    """Rays (n, 3) of length 1."""
+    return np.asarray(rays / np.sqrt(np.einsum("ni,ni->n", rays, rays))[:, None])
+
+
 def _means(field: Map) -> Map:
     """Means over squares of pixels; NaN where a pixel is unknown."""
-    height, width = (n // _BIN_PX for n in field.shape)
+    height, width = (n // _BIN_PX for n in field.shape[:2])
     whole = np.ascontiguousarray(field[: height * _BIN_PX, : width * _BIN_PX], np.float32)
     return cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
 
@@ -278,8 +277,8 @@ def _spread(sparse: Map, shape: tuple[int, int]) -> Map:
     of_label = np.zeros(int(labels.max()) + 1, np.float32)
     of_label[labels[known]] = sparse[known]
     filled = of_label[labels]
-    # A place is the middle of its square.
-    middle = (_BIN_PX - 1) / 2
-    v, u = ((np.arange(n, dtype=np.float32) - middle) / _STEP_PX for n in shape)
-    map_u, map_v = np.meshgrid(u, v)
-    return cv2.remap(filled, map_u, map_v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    filled = cv2.copyMakeBorder(filled, 0, 1, 0, 1, cv2.BORDER_REPLICATE)
+    rows, columns = filled.shape
+    whole = cv2.resize(filled, (columns * _STEP_PX, rows * _STEP_PX), interpolation=cv2.INTER_LINEAR)
+    # A place is the middle of its square of means, to the enlarged image that of a square as large as the step.
+    return whole[_OFFSET : _OFFSET + shape[0], _OFFSET : _OFFSET + shape[1]]

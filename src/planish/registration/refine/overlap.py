@@ -21,15 +21,21 @@ def overlap_extent(
     common = _common_points(a, b, T_a_b, max_distance_mm)
     if len(common) < _LEAST:
         return None
-    centre = common.mean(0)
-    return centre, float(np.sqrt(((common - centre) ** 2).sum(1).mean()))
+    return _middle_and_radius(common)
 
 
 def rms_radius(measurement: Measurement) -> float:
     """Return the root mean square distance of a measurement's points from their middle [mm], 0 where it has none."""
     points = measurement.points_sensor[::_STRIDE, ::_STRIDE].reshape(-1, 3).astype(float)
     known = points[np.isfinite(points[:, 2])]
-    return float(np.sqrt(((known - known.mean(0)) ** 2).sum(1).mean())) if len(known) else 0.0
+    return _middle_and_radius(known)[1] if len(known) else 0.0
+
+
+def _middle_and_radius(points: Array) -> tuple[Array, float]:
+    """Mean (3,) of points (n, 3), and their root mean square distance from it."""
+    middle = points.mean(0)
+    off = points - middle
+    return middle, float(np.sqrt(np.einsum("ni,ni->", off, off) / len(points)))
 
 
 def overlap_axes(a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: float = 2.0) -> Array:
@@ -42,5 +48,5 @@ def overlap_axes(a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: 
 
 def _common_points(a: Measurement, b: Measurement, T_a_b: Array, max_distance_mm: float) -> Array:
     _, of_a, points = nearest_pixels(a, b, T_a_b, _STRIDE)
-    near = np.linalg.norm(a.points_sensor.reshape(-1, 3)[of_a] - points, axis=1) < max_distance_mm
-    return points[near]
+    off = a.points_sensor.reshape(-1, 3)[of_a] - points
+    return np.asarray(points[np.einsum("ni,ni->n", off, off) < max_distance_mm**2])

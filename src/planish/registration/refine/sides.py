@@ -122,9 +122,10 @@ def joint_sides(
     known, count = np.isfinite(value), thread_count(threads)
     inside = known & _inside(measurement.valid, known, shading_px)
     filtered = filter_texture(value, sigma, shading_px, seen_apart(measurement, inside, sigma, shading_px), count)
-    # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
     by_blur, by_spline = height_by_blur(measurement, surface, count)
-    points = np.ascontiguousarray(measurement.points_sensor - by_spline[..., None] * surface.normals_sensor, np.float32)
+    # The points as measured: the smoothed ones lie behind a curved surface by an amount that depends on the view.
+    points = np.ascontiguousarray(measurement.points_sensor, np.float32)
+    maps = points, measurement.sigma_mm, surface.normals_sensor, surface.tangents_sensor, by_blur, sigma, by_spline
     fine = moved_back(filtered.value, displacement(surface.tangents_sensor, filtered.reach))
     beside = cv2.erode(inside.view(np.uint8), _CROSS, borderValue=0).view(np.bool_)
     sides = {}
@@ -136,7 +137,6 @@ def joint_sides(
             level, slopes = thinned_texture(value, known, _BEFORE_THINNING * n, n, count)
             level[~inside[::n, ::n]] = np.nan
             slopes[~beside[::n, ::n]] = np.nan
-        maps = points, measurement.sigma_mm, surface.normals_sensor, surface.tangents_sensor, by_blur, sigma
         values = _core.joint_values(
             maps, level, slopes, measurement.camera.center_sensor, _BLUR, _BLUR_SIGMA, n, count
         )  # fmt: skip

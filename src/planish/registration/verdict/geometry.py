@@ -66,10 +66,11 @@ def _before(
     """Count of b's points on a's surface, and before it as a's camera sees it."""
     of_b, of_a, points = nearest_pixels(a, b, T_a_b, _STRIDE)
     centre = a.camera.center_sensor
-    other = a.points_sensor.reshape(-1, 3)[of_a].astype(float)
-    nearer = np.linalg.norm(other - centre, axis=1) - np.linalg.norm(points - centre, axis=1)
-    sigmas = (m.sigma_mm.ravel()[at].astype(float) for m, at in ((a, of_a), (b, of_b)))
-    gate = np.maximum(gate_mm, _SIGMAS * np.hypot(*sigmas))
+    rays = (x - centre for x in (a.points_sensor.reshape(-1, 3)[of_a], points))
+    other, own = (np.sqrt(np.einsum("ni,ni->n", ray, ray)) for ray in rays)
+    nearer = other - own
+    variances = (m.sigma_mm.ravel()[at].astype(float) ** 2 for m, at in ((a, of_a), (b, of_b)))
+    gate = np.maximum(gate_mm, _SIGMAS * np.sqrt(sum(variances)))
     seen = np.isfinite(nearer)
     for without, at in ((without_a, of_a), (without_b, of_b)):
         if without is not None:

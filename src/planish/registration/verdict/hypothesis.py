@@ -125,18 +125,24 @@ def weigh(
     by_matches = log10_by_matches(matches, candidate, coarse)
     members = matches.take(candidate.members)
     reach = coarse.search.looked_at_mm + options.window_mm / 2
+    # All candidates of a pair are weighed.
+    several = float(np.log10(max(1, len(coarse.candidates))))
 
     def product(windows: Windows) -> float:
         free = windows.take(apart_from(windows, members.points_a, reach))
-        # All candidates of a pair are weighed.
-        return log10_of_product(by_matches, log10_by_windows(free)) + float(np.log10(max(1, len(coarse.candidates))))
+        return log10_of_product(by_matches, log10_by_windows(free)) + several
 
     T, exhaustive, every = candidate.T_a_b, np.inf, screening_step(a.images, options)
-    windows = correlate_windows(a, b, T, options, every)
-    alarms = product(windows)
-    # Of most pairs that do not overlap a part of the windows shows that nothing agrees.
-    if every == 1 or alarms < 0 or log10_by_windows(windows) < _WORTH_A_LOOK:
-        windows = windows if every == 1 else correlate_windows(a, b, T, options)
+    # Of most pairs that do not overlap a part of the windows shows that nothing agrees. Where the matches alone say
+    # enough, no window takes from that.
+    if every > 1 and log10_of_product(by_matches, 0.0) + several >= 0:
+        windows = correlate_windows(a, b, T, options, every)
+        alarms = product(windows)
+        worth_all = alarms < 0 or log10_by_windows(windows) < _WORTH_A_LOOK
+    else:
+        worth_all = True
+    if worth_all:
+        windows = correlate_windows(a, b, T, options)
         alarms = product(windows)
         T, windows = _fitted(a, b, members, T, windows, options)
         exhaustive = _exhaustive(a, b, windows, options)

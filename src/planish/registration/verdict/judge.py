@@ -280,7 +280,7 @@ def _rival(case: _Case, moving: list[Hypothesis]) -> tuple[Hypothesis, Hypothesi
     apart_mm = 3 * options.verify.agree_mm
     suggested = [
         as_hypothesis(case.a, case.b, T, options.verify)
-        for T in rival_transforms(case.a, case.b, first.T_a_b, apart_mm, options.verify.gate_mm)
+        for T in rival_transforms(first.windows.charts, first.T_a_b, apart_mm, options.verify.gate_mm, case.threads)
     ]
     equal: list[tuple[Hypothesis, Rivalry]] = []
     for other in [*moving[1:], *suggested]:

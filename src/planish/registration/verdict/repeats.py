@@ -7,6 +7,8 @@ as the transform lays it on a texture image of a, is correlated with that image 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from scipy import fft
 from planish.geometry import Array, fit_rigid, transform_points
 from planish.measurement import Map
 from planish.options import thread_count
-from planish.registration.verdict.aligned import Aligned, Side, align
+from planish.registration.verdict.aligned import Aligned
 
 #: Rivals whose peak is lower than this share of the transform's own explain less than a window test could tell.
 _MIN_SHARE = 0.3
@@ -25,34 +27,38 @@ _COMPARABLE = 0.5
 _MAX_PEAKS, _MAX_RIVALS_PER_TURN = 24, 2
 #: Images are reduced to at most this many pixels a side: a pattern that repeats is coarser than the grain.
 _MAX_SIDE_PX = 384
+#: Every so many pixels along both axes tell how large values are.
+_SPARSE = 3
 #: Places that a rival is fitted to, at most and at least.
 _PLACES, _MIN_PLACES = 400, 12
 
 
-def rival_transforms(a: Side, b: Side, T_a_b: Array, apart_mm: float, gate_mm: float) -> list[Array]:
+def rival_transforms(
+    charts: Sequence[Aligned], T_a_b: Array, apart_mm: float, gate_mm: float, threads: int | None = None
+) -> list[Array]:
     """Return other transforms (4, 4) under which the textures correlate nearly as well, at least `apart_mm` away.
 
-    Asked of the texture image that holds most of the common region. A shift or turn in the picture that no rigid
-    motion makes within `gate_mm`, the surface being bent otherwise there, is none.
+    Asked of the texture image that holds most of the common region; `charts` are those that T_a_b, or nearly that, puts
+    both textures on. A shift or turn in the picture that no rigid motion makes within `gate_mm`, the surface being bent
+    otherwise there, is none.
     """
-    charts = align(a, b, T_a_b, gate_mm)
     chart = max(charts, key=lambda c: int(c.common.sum()), default=None)
     if chart is None or chart.common.sum() < _MIN_PLACES:
         return []
     step = max(1, -(-max(chart.common.shape) // _MAX_SIDE_PX))
-    threads = thread_count(a.threads)
+    count = thread_count(threads)
     size = fft.next_fast_len(2 * -(-max(chart.common.shape) // step))
     F_a = fft.rfft2(
-        _drawn(_smoothed(chart.image.value, chart.image.mask, step), np.eye(2, 3) / step, size), workers=threads
+        _drawn(_smoothed(chart.image.value, chart.image.mask, step), np.eye(2, 3) / step, size), workers=count
     )
     value_b = _smoothed(chart.value_b, chart.common, step)
     reach = max(1, round(apart_mm / (chart.image.pitch_mm * step)))
-    middle = np.argwhere(chart.common).mean(0)[::-1]
+    middle = _middle(chart.common)
     chosen: list[Array] = []
     own = 0.0
     for quarter in range(4):
         turn = _turned(quarter, middle)
-        surface = _correlation(F_a, _drawn(value_b, turn / step, size), threads)
+        surface = _correlation(F_a, _drawn(value_b, turn / step, size), count)
         if quarter == 0:
             own = _taken_out(surface, 0, 0, reach)
         if own <= 0:
@@ -67,6 +73,12 @@ def rival_transforms(a: Side, b: Side, T_a_b: Array, apart_mm: float, gate_mm: f
     return chosen
 
 
+def _middle(mask: NDArray[np.bool_]) -> Array:
+    """Mean place (column, row) of the pixels of a mask."""
+    counts = [np.count_nonzero(mask, axis) for axis in (0, 1)]
+    return np.array([np.arange(len(n)) @ n / n.sum() for n in counts])
+
+
 def _turned(quarter: int, middle: Array) -> Array:
     """Affine map (2, 3) that turns a picture by quarters of a turn about a place (column, row)."""
     cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarter]
@@ -76,7 +88,8 @@ def _turned(quarter: int, middle: Array) -> Array:
 
 def _smoothed(value: Map, known: NDArray[np.bool_], step: int) -> Map:
     """A texture (h, w) without what stands out, smoothed so far that every `step`-th pixel says it all."""
-    limit = 4 * 1.4826 * float(np.median(np.abs(value[known]))) if known.any() else 0.0
+    some = value[::_SPARSE, ::_SPARSE][known[::_SPARSE, ::_SPARSE]]
+    limit = 4 * 1.4826 * float(np.median(np.abs(some))) if len(some) else 0.0
     clipped = np.clip(value, -limit, limit)
     return np.asarray(cv2.GaussianBlur(clipped, (0, 0), 0.5 * step) if step > 1 else clipped)
 

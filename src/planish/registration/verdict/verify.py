@@ -52,6 +52,8 @@ class Windows:
         uncertainty of the noise would make all windows alike.
     together : Together
         How high the correlation is at every place of the search area, for the test of all windows in one.
+    charts : tuple of Aligned
+        Both textures, where all windows were cut from them; else none.
     """
 
     cell: NDArray[np.int64]
@@ -65,6 +67,7 @@ class Windows:
     chance: float
     richness: Array
     together: Together
+    charts: tuple[Aligned, ...] = ()
 
     def __len__(self) -> int:
         return len(self.cell)
@@ -78,8 +81,8 @@ class Windows:
 
     def take(self, index: NDArray[np.bool_]) -> Windows:
         """Return the windows at `index`."""
-        parts = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("chance", "together")}
-        own = {name: part[index] for name, part in parts.items()}
+        common = ("chance", "together", "charts")
+        own = {name: getattr(self, name)[index] for name in self.__dataclass_fields__ if name not in common}
         return Windows(**own, chance=self.chance, together=self.together.take(index))
 
 
@@ -96,8 +99,9 @@ def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | N
     lattice_px = None if every == 1 else (every * window, window + 2 * search)
     charts = align(a, b, T_a_b, options.gate_mm, lattice_px)
     cut = [(number, part) for number, part in enumerate(_cut(c, options, every) for c in charts) if len(part.centre)]
+    whole = charts if every == 1 else ()
     if not cut:
-        return _no_windows(near)
+        return _no_windows(near, whole)
     value_a, value_b, noise = (np.concatenate([getattr(part, name) for _, part in cut]) for name in ("a", "b", "noise"))
     surface, unrelated, richness = _correlation(value_a, value_b, noise, window, search, thread_count(a.threads))
     flat = surface.reshape(len(surface), -1)
@@ -111,15 +115,15 @@ def correlate_windows(a: Side, b: Side, T_a_b: Array, options: VerifyOptions | N
     cell, points, pixels_a, pixels_b, found_b = (np.concatenate(x) for x in zip(*places, strict=True))
     return Windows(
         cell, points, pixels_a, pixels_b, found_b, offset_px * pitch, flat[:, near].max(1), near[peak],
-        float(near.mean()), richness, Together.of(surface, unrelated, near),
+        float(near.mean()), richness, Together.of(surface, unrelated, near), whole,
     )  # fmt: skip
 
 
-def _no_windows(near: NDArray[np.bool_]) -> Windows:
+def _no_windows(near: NDArray[np.bool_], charts: tuple[Aligned, ...]) -> Windows:
     none, pixels, heights = np.empty(0), np.empty((0, 2)), np.empty((0, len(near)), np.float32)
     return Windows(
         np.empty(0, np.int64), np.empty((0, 3)), pixels, pixels, pixels, pixels, none, np.empty(0, bool),
-        float(near.mean()), none, Together(heights, heights, near),
+        float(near.mean()), none, Together(heights, heights, near), charts,
     )  # fmt: skip
 
 
@@ -207,19 +211,20 @@ def _cut(chart: Aligned, options: VerifyOptions, every: int) -> _Cut:
 
 
 def _clipped(values: Map) -> Map:
+    """Clip windows (n, N, N) in place, and return them."""
     if len(values) == 0:
         return values
     size = np.abs(values)
     # Where more than half of a window exceed the limit of its greatest value, nothing is to be clipped: only the
     # others are sorted.
-    limit = np.full((len(values), 1, 1), np.inf, np.float32)
     most = size.max((1, 2), keepdims=True)
     strong = np.count_nonzero(size > most / np.float32(_CLIPPED * 1.4826 * _SURELY_LESS), axis=(1, 2))
     unsure = 2 * strong <= size[0].size
     if not unsure.any():
         return values
-    limit[unsure] = _CLIPPED * 1.4826 * np.median(size[unsure], axis=(1, 2), keepdims=True)
-    return np.asarray(np.clip(values, -limit, limit))
+    limit = np.float32(_CLIPPED * 1.4826) * np.median(size[unsure], axis=(1, 2), keepdims=True)
+    values[unsure] = np.clip(values[unsure], -limit, limit)
+    return values
 
 
 def _correlation(a: Map, b: Map, noise: Array, window: int, search: int, threads: int) -> tuple[Array, Array, Array]:
@@ -243,6 +248,7 @@ def _correlation(a: Map, b: Map, noise: Array, window: int, search: int, threads
     floor_a, floor_b = (1e-3 * p.mean() + 1e-30 for p in (power_a, power_b))
     weight = signal / ((power_a + floor_a) * (power_b + floor_b))
     weight[0, 0] = 0.0
+    weight = weight.astype(np.float32)
     # Shifts -search ... search: b's window begins `search` px before a's.
     index = np.arange(-search, search + 1)
     surface, unrelated = (
