@@ -32,6 +32,9 @@ MAY_IMPORT_SIMULATION = ("simulation", "cli")
 LONGEST_FILE = 400
 LONGEST_FUNCTION = 60
 
+#: The room of `src/core` that every other room may know; else it knows only itself.
+COMMON_ROOM = "common"
+
 NOT_IN_KERNELS = re.compile(
     r"#\s*include\s*[<\"](Python\.h|nanobind/|pybind11/|iostream|fstream|sstream|cstdio|stdio\.h|print)"
     r"|\b(?:std::)?(?:v?f?printf|puts)\s*\(|\bstd::(?:cout|cerr|clog)\b"
@@ -152,3 +155,20 @@ def long_functions(path: Path) -> list[str]:
 def without_comments(cpp: str) -> str:
     """Return C++ text with its comments blanked."""
     return re.sub(r"//[^\n]*|/\*.*?\*/", "", cpp, flags=re.DOTALL)
+
+
+def core_faults(core: Path) -> list[str]:
+    """Return the files outside a room of the core, and the includes that reach into another room, as text."""
+    faults = []
+    for path in sorted(core.rglob("*.[ch]pp")):
+        name = path.relative_to(core)
+        if len(name.parts) != 2:
+            faults.append(f"{name}: lies in no room of the core")
+            continue
+        for target in re.findall(r'#\s*include\s*"([^"]+)"', without_comments(path.read_text(encoding="utf-8"))):
+            parts = target.split("/")
+            if len(parts) != 3 or parts[0] != core.name or not (core.parent / target).is_file():
+                faults.append(f"{name}: {target} is not written as {core.name}/ROOM/NAME.hpp")
+            elif parts[1] not in (name.parts[0], COMMON_ROOM):
+                faults.append(f"{name}: {target} lies in another room")
+    return faults

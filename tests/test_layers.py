@@ -12,7 +12,7 @@ from structure import LONGEST_FILE, NOT_IN_KERNELS, ROOT, without_comments
 PACKAGE = ROOT / "src" / "planish"
 CORE = ROOT / "src" / "core"
 PYTHON_FILES = sorted(PACKAGE.rglob("*.py"))
-CORE_FILES = sorted(CORE.glob("*.[ch]pp"))
+CORE_FILES = sorted(CORE.rglob("*.[ch]pp"))
 OWN_CODE = [path for folder in ("src", "tests", "benchmarks", "examples") for path in (ROOT / folder).rglob("*")]
 
 
@@ -22,6 +22,10 @@ def test_every_import_goes_to_a_lower_layer_and_the_simulator_keeps_apart():
 
 def test_no_module_imports_itself_through_others():
     assert structure.import_cycles(PACKAGE) == []
+
+
+def test_a_room_of_the_core_knows_itself_and_the_common_one():
+    assert structure.core_faults(CORE) == []
 
 
 def test_the_core_knows_neither_python_nor_files_nor_the_screen():
@@ -109,6 +113,27 @@ def test_the_checker_accepts_right_imports(tmp_path):
         "cli/simulate.py": "from planish.simulation.scenes import render",
     }
     assert structure.layer_faults(make_package(tmp_path, files)) == []
+
+
+@pytest.mark.parametrize(
+    ("files", "fault"),
+    [
+        ({"texture/chart.cpp": '#include "core/sensing/epipolar.hpp"', "sensing/epipolar.hpp": ""}, "another room"),
+        ({"common/image.hpp": '#include "core/sensing/epipolar.hpp"', "sensing/epipolar.hpp": ""}, "another room"),
+        ({"texture/chart.cpp": '#include "chart.hpp"', "texture/chart.hpp": ""}, "not written as"),
+        ({"texture/chart.cpp": '#include "core/texture/chart.hpp"'}, "not written as"),
+        ({"image.hpp": ""}, "no room"),
+    ],
+)
+def test_the_checker_finds_a_wrong_include(tmp_path, files, fault):
+    files = {"texture/blocks.cpp": '#include "core/common/range.hpp"', "common/range.hpp": "#include <span>", **files}
+    for name, text in files.items():
+        path = tmp_path / "core" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    faults = structure.core_faults(tmp_path / "core")
+    assert len(faults) == 1
+    assert fault in faults[0]
 
 
 def test_the_checker_finds_a_cycle(tmp_path):

@@ -12,9 +12,9 @@
 #include <stdexcept>
 #include <utility>
 
-#include "core/camera.hpp"
-#include "core/image.hpp"
-#include "core/pages.hpp"
+#include "core/common/camera.hpp"
+#include "core/common/image.hpp"
+#include "core/common/pages.hpp"
 
 namespace nb = nanobind;
 using namespace nb::literals;

@@ -4,7 +4,7 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
-#include "core/shift_sums.hpp"
+#include "core/checks/shift_sums.hpp"
 
 namespace {
 

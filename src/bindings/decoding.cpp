@@ -12,12 +12,12 @@
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
 #include "bindings/maps.hpp"
-#include "core/decode_gray.hpp"
-#include "core/decode_phase.hpp"
-#include "core/gray_edges.hpp"
-#include "core/image.hpp"
-#include "core/noise_samples.hpp"
-#include "core/repair_periods.hpp"
+#include "core/common/image.hpp"
+#include "core/decoding/decode_gray.hpp"
+#include "core/decoding/decode_phase.hpp"
+#include "core/decoding/gray_edges.hpp"
+#include "core/decoding/noise_samples.hpp"
+#include "core/decoding/repair_periods.hpp"
 
 namespace {
 

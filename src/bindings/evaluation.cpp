@@ -7,8 +7,8 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
-#include "core/overlap_lookup.hpp"
-#include "core/overlap_tiles.hpp"
+#include "core/evaluation/overlap_lookup.hpp"
+#include "core/evaluation/overlap_tiles.hpp"
 
 namespace {
 

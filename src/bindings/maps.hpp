@@ -13,7 +13,7 @@
 #include <vector>
 
 #include "bindings/arrays.hpp"
-#include "core/image.hpp"
+#include "core/common/image.hpp"
 
 template <class T>
 using AnyIn = nb::ndarray<const T, nb::c_contig, nb::device::cpu>;

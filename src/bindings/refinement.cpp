@@ -8,10 +8,10 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
-#include "core/joint.hpp"
-#include "core/joint_values.hpp"
-#include "core/spectrum_cells.hpp"
-#include "core/window_moments.hpp"
+#include "core/refinement/joint.hpp"
+#include "core/refinement/joint_values.hpp"
+#include "core/refinement/spectrum_cells.hpp"
+#include "core/refinement/window_moments.hpp"
 
 namespace {
 

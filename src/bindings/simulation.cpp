@@ -14,8 +14,8 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
-#include "core/counter_noise.hpp"
-#include "core/render.hpp"
+#include "core/simulation/counter_noise.hpp"
+#include "core/simulation/render.hpp"
 
 namespace {
 

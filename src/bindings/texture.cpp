@@ -8,13 +8,13 @@
 
 #include "bindings/arrays.hpp"
 #include "bindings/bindings.hpp"
-#include "core/block_maps.hpp"
-#include "core/contrast.hpp"
-#include "core/contrast_excess.hpp"
-#include "core/fixed_pattern.hpp"
-#include "core/local_plane.hpp"
-#include "core/sample_chart.hpp"
-#include "core/split_bands.hpp"
+#include "core/texture/block_maps.hpp"
+#include "core/texture/contrast.hpp"
+#include "core/texture/contrast_excess.hpp"
+#include "core/texture/fixed_pattern.hpp"
+#include "core/texture/local_plane.hpp"
+#include "core/texture/sample_chart.hpp"
+#include "core/texture/split_bands.hpp"
 
 namespace {
 

@@ -1,4 +1,4 @@
-"""Twin of the grain in src/core/surface_texture: cubic B-spline of hashed numbers."""
+"""Twin of the grain in src/core/simulation/surface_texture: cubic B-spline of hashed numbers."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Twin of src/core/counter_noise: NumPy's own Philox is 4x64, so the 4x32-10 of the paper stands here."""
+"""Twin of src/core/simulation/counter_noise: NumPy's own Philox is 4x64, so the 4x32-10 of the paper stands here."""
 
 import numpy as np
 from scipy.special import ndtri

@@ -1,4 +1,4 @@
-"""Twin of src/core/render: single noise-free grey values, every sample by its own ray, straight from the formulas."""
+"""Twin of src/core/simulation/render: single noise-free grey values, each sample by its own ray, from the formulas."""
 
 import numpy as np
 from scipy.special import erf, ndtr

@@ -1,4 +1,4 @@
-"""Twin of src/core/scene_surface: implicit functions of the surfaces, rays solved by sampling and SciPy's brentq."""
+"""Twin of src/core/simulation/scene_surface: implicit functions, rays solved by sampling and SciPy's brentq."""
 
 import numpy as np
 from scipy.optimize import brentq

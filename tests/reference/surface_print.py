@@ -1,4 +1,4 @@
-"""Twin of src/core/surface_print: the factor of a print at single points, by nearest neighbour."""
+"""Twin of src/core/simulation/surface_print: the factor of a print at single points, by nearest neighbour."""
 
 import numpy as np
 

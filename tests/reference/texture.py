@@ -1,4 +1,4 @@
-"""The texture kernels in NumPy: slow, short, from the definitions in their headers in src/core/."""
+"""The texture kernels in NumPy: slow, short, from the definitions in their headers in src/core/texture/."""
 
 from __future__ import annotations
 
