@@ -62,7 +62,8 @@ def failures_cells(arguments: argparse.Namespace) -> Cells:
 def beside_cells(arguments: argparse.Namespace) -> Cells:
     """Return one cell per pair of a scene."""
     kinds = arguments.kinds or BESIDE_KINDS
-    return {f"beside_{k}_{n:03d}": (k, n, arguments.peers) for n in range(arguments.pairs) for k in kinds}
+    asked = arguments.peers, tuple(arguments.methods)
+    return {f"beside_{k}_{n:03d}": (k, n, *asked) for n in range(arguments.pairs) for k in kinds}
 
 
 def parse() -> argparse.Namespace:
@@ -76,6 +77,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--noise", type=float, nargs="+", default=[1.0], help="factors on the cameras' noise")
     parser.add_argument("--scale", type=float, default=1.0, help="resolution for covariance and failures")
     parser.add_argument("--peers", help="python of the peers' environment")
+    parser.add_argument("--methods", nargs="+", choices=beside.PEERS, default=beside.PEERS, help="of the peers")
     return parser.parse_args()
 
 

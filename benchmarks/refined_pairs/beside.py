@@ -30,14 +30,16 @@ from shared.cells import Rows
 START_MM = 0.7
 #: Threads of all.
 THREADS = 2
+#: Methods of `peers.py`.
+PEERS = ("coloured ICP", "point-to-plane ICP", "GICP")
 #: Times are the median of so many.
 RUNS = 3
 #: Share of the texture's values that the peers' grey scale spans.
 SPAN = (1.0, 99.0)
 
 
-def run_pair(kind: str, number: int, peers: str | None) -> Rows:
-    """Return one record per method and settings."""
+def run_pair(kind: str, number: int, peers: str | None, methods: tuple[str, ...] = PEERS) -> Rows:
+    """Return one record per method and settings; `methods` are those of the peers."""
     part, case = draw_pair(kind, number)
     measured = measure_part(part)
     started = time.perf_counter()
@@ -54,7 +56,7 @@ def run_pair(kind: str, number: int, peers: str | None) -> Rows:
         # What is worth knowing of a pair apart from its refinement: the evaluation of the overlap.
         row["overlap_s"], _ = timed(lambda: pair.evaluate(T, THREADS))
     rows.append(row)
-    for found in run_peers(pair, start, peers) if peers else []:
+    for found in run_peers(pair, start, peers, methods) if peers else []:
         errors = dict(zip(("along_mm", "normal_mm"), pair.errors_mm(np.array(found.pop("T"))), strict=True))
         rows.append(head | found | errors)
     return rows
@@ -78,7 +80,7 @@ def timed(function: Callable[[], Any]) -> tuple[float, Any]:
     return median(seconds), found
 
 
-def run_peers(pair: KnownPair, start: Array, python: str) -> Rows:
+def run_peers(pair: KnownPair, start: Array, python: str, methods: tuple[str, ...]) -> Rows:
     """Return what the peers say, with all their settings."""
     values: dict[str, Any] = {"start": start, "truth": pair.T_a_b, "gsd": ground_sample_distance(pair.a.measurement)}
     for name, side in (("a", pair.a), ("b", pair.b)):
@@ -90,7 +92,7 @@ def run_peers(pair: KnownPair, start: Array, python: str) -> Rows:
         files = [str(Path(folder) / name) for name in ("pair.npz", "peers.json")]
         np.savez(files[0], **values)
         environment = os.environ | {"OMP_NUM_THREADS": str(THREADS)}
-        subprocess.run([python, str(script), *files, str(THREADS)], check=True, env=environment)
+        subprocess.run([python, str(script), *files, str(THREADS), *methods], check=True, env=environment)
         return list(json.loads(Path(files[1]).read_text(encoding="utf-8")))
 
 

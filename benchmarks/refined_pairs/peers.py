@@ -1,6 +1,6 @@
 """Refines one pair of clouds with the peers; runs in their own environment (open3d, small_gicp).
 
-    OMP_NUM_THREADS=2 python refine_peers.py pair.npz result.json THREADS
+    OMP_NUM_THREADS=2 python peers.py pair.npz result.json THREADS METHOD...
 
 The input holds points (N, 3) [mm] of `a` and `b`, `contrast_*` and `white_*` (N,) from 0 to 1, `start` and `truth`
 (4, 4) and `gsd` [mm per pixel]. Written is a list: method, settings, whether these are the recommended ones, transform,
@@ -136,13 +136,13 @@ def search(data: Any, method: str, run: Callable[..., Row], settings: dict[str, 
 def main() -> None:
     data, threads = dict(np.load(sys.argv[1])), int(sys.argv[3])
     clouds, found = Clouds(data), []
-    methods = (
-        ("coloured ICP", partial(multi_scale, clouds), COLOURED),
-        ("point-to-plane ICP", partial(multi_scale, clouds), ICP),
-        ("GICP", partial(gicp, clouds, threads=threads), GICP),
-    )
-    for method, run, settings in methods:
-        for row in search(data, method, run, settings):
+    methods = {
+        "coloured ICP": (partial(multi_scale, clouds), COLOURED),
+        "point-to-plane ICP": (partial(multi_scale, clouds), ICP),
+        "GICP": (partial(gicp, clouds, threads=threads), GICP),
+    }
+    for method in sys.argv[4:]:
+        for row in search(data, method, *methods[method]):
             found.append(row)
             Path(sys.argv[2]).write_text(json.dumps(found))
 
