@@ -43,7 +43,7 @@ from planish.simulation.scenes import make_scene
 from refined_pairs.bound import pair_bound
 from refined_pairs.true_view import true_view
 from render_tables import save_table
-from shared.cells import Rows, cell_arguments, read_rows, run_cells
+from shared.cells import Rows, cell_arguments, machines, read_rows, run_cells
 from shared.rendered import measure_scene
 
 FOLDER = "coarse-weak"
@@ -200,7 +200,7 @@ def save_tables() -> None:
     }  # fmt: skip
     formats = {"along": ".4f", "least": ".4f", "along_worst": ".4f", "alarms": ".0f"}
     if table:
-        save_table("coarse-weak", columns, table, "python benchmarks/coarse_weak.py", formats)
+        save_table("coarse-weak", columns, table, "python benchmarks/coarse_weak.py", formats, machine=machines(FOLDER))
     for row in table:
         print(row)
     for r in rows:

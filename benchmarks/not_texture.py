@@ -40,7 +40,7 @@ from planish.simulation.scenes import Background, Scene, make_scene, place_senso
 from planish.simulation.surfaces import Plate
 from planish.simulation.texture import BLANK
 from render_tables import ROOT, save_table
-from shared.cells import Rows, cell_arguments, read_rows, run_cells
+from shared.cells import Rows, cell_arguments, machines, read_rows, run_cells
 from shared.patterns import Pattern, pattern_print
 from shared.rendered import measure_scene
 
@@ -231,7 +231,7 @@ def save_tables() -> None:
         "right": "accepted, right", "wrong": "accepted, wrong", "still": "of them standing still",
     }  # fmt: skip
     if table:
-        save_table("not-texture", columns, table, "python benchmarks/not_texture.py")
+        save_table("not-texture", columns, table, "python benchmarks/not_texture.py", machine=machines(FOLDER))
         print(*table, sep="\n")
 
 

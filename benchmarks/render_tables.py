@@ -32,6 +32,7 @@ def save_table(
     command: str,
     formats: Mapping[str, str] | None = None,
     folder: Path = RESULTS,
+    machine: str | None = None,
 ) -> Path:
     """Save a table as JSON.
 
@@ -47,10 +48,12 @@ def save_table(
         What to run to get the figures again.
     formats : mapping of str to str
         Key to format of its numbers, for example ".3f"; default as they are.
+    machine : str, optional
+        Where the figures were found; default this machine.
     """
     content = {
         "command": command,
-        "machine": describe_machine(),
+        "machine": machine or describe_machine(),
         "columns": dict(columns),
         "formats": dict(formats or {}),
         "rows": [dict(row) for row in rows],

@@ -30,7 +30,7 @@ from planish.registration.pair import register_pair
 from planish.registration.prepared import Prepared, RefinementMaps, Sides
 from planish.simulation.scenes import Scene, make_scene
 from render_tables import save_table
-from shared.cells import Rows, cell_arguments, commit, read_rows, run_cells
+from shared.cells import Rows, cell_arguments, commit, machines, read_rows, run_cells
 from shared.rendered import measure_scene
 
 FOLDER = "strangers"
@@ -183,7 +183,9 @@ def save_tables() -> None:
         "what": "pairs without overlap", "pairs": "number", "accepted": "accepted", "ambiguous": "ambiguous",
         "refused": "refused", "lowest": "lowest log10 false alarms",
     }  # fmt: skip
-    save_table("strangers", columns, table, "python benchmarks/strangers.py", {"lowest": ".1f"})
+    save_table(
+        "strangers", columns, table, "python benchmarks/strangers.py", {"lowest": ".1f"}, machine=machines(FOLDER)
+    )
     print(*table, sep="\n")
     _save_honesty([a for r in rows for a in r["log10_false_alarms"]])
 
@@ -208,7 +210,7 @@ def _save_honesty(alarms: list[float]) -> None:
         "high": "upper", "promised": "at most",
     }  # fmt: skip
     formats = dict.fromkeys(("found", "low", "high", "promised"), ".3g")
-    save_table("false-alarms", columns, table, "python benchmarks/strangers.py", formats)
+    save_table("false-alarms", columns, table, "python benchmarks/strangers.py", formats, machine=machines(FOLDER))
     print(*table, sep="\n")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from coarse_pairs.parts import OVERLAPS, SURFACES
 from render_tables import save_table
-from shared.cells import Rows, read_rows
+from shared.cells import Rows, machines, read_rows
 
 FOLDER = "coarse"
 #: A transform is right if it moves the overlap by less than this, root mean square [mm].
@@ -72,7 +72,7 @@ def save_tables() -> None:
         "wrong": "wrong, accepted", "median": "error before refinement, median [mm]",
     } | {key: f"{heading}, right [%]" for key, heading in PEERS.items()}  # fmt: skip
     formats = {"right": ".1f", "median": ".3f"}
-    save_table("coarse", columns, table, "python benchmarks/coarse.py", formats)
+    save_table("coarse", columns, table, "python benchmarks/coarse.py", formats, machine=machines(FOLDER))
     for row in table:
         print(row)
     _save_lost(rows)
@@ -105,7 +105,8 @@ def _save_lost(rows: Rows) -> None:
     }  # fmt: skip
     named = [r | {"pair": f"{r['first']}, {r['second']}"} for r in lost]
     table = [{key: r.get(key) for key in columns} for r in named]
-    save_table("coarse-lost", columns, table, "python benchmarks/coarse.py", {"overlap": ".2f"})
+    formats = {"overlap": ".2f"}
+    save_table("coarse-lost", columns, table, "python benchmarks/coarse.py", formats, machine=machines(FOLDER))
     wrong = [r for r in rows if is_wrong(r)]
     print(f"plain SIFT wins and planish loses: {len(lost)} of {len(rows)}; accepted, but wrong: {len(wrong)}")
     for r in [r for r in rows if not is_right(r) and r["overlap"] >= 0.3 and enough_texture(r)] + wrong:

@@ -33,7 +33,7 @@ from planish.simulation.scenes import Scene, make_scene, place_sensor
 from planish.simulation.surfaces import Cylinder
 from planish.simulation.texture import Grain, Texture
 from render_tables import save_table
-from shared.cells import Rows, read_cells, run_cells
+from shared.cells import Rows, machines, read_cells, run_cells
 from shared.rendered import measure_scene
 
 FOLDER = "network-whole"
@@ -207,7 +207,7 @@ def save_growth() -> None:
         }
         rows.append({"measurements": "fitted exponent", **fitted})
     rows = [{key: _text(row, key) for key in COLUMNS} for row in rows]
-    save_table(FOLDER, COLUMNS, rows, f"python benchmarks/network.py --sizes {sizes}")
+    save_table(FOLDER, COLUMNS, rows, f"python benchmarks/network.py --sizes {sizes}", machine=machines(FOLDER))
 
 
 def _text(row: dict[str, Any], key: str) -> Any:

@@ -25,7 +25,7 @@ from planish.simulation.rigs import draw_rig
 from planish.simulation.scenes import Scene, make_scene, place_sensor
 from planish.simulation.surfaces import Cylinder
 from render_tables import ROOT, save_table
-from shared.cells import Rows, read_rows, run_cells
+from shared.cells import Rows, machines, read_rows, run_cells
 from shared.rendered import measure_rendered, render_scene
 
 sys.path.append(str(ROOT / "tests"))
@@ -176,4 +176,5 @@ def rendered(size: str, cache: Path, workers: int, again: bool, seed: int = 1) -
     run_cells(FOLDER, cells, run_network, workers, again)
     rows = [row for row in read_rows(FOLDER) if row["size"] == size]
     formats = {key: ".4f" for key in COLUMNS if key.endswith("_mm")} | {"seconds": ".0f"}
-    save_table(f"network-rendered-{size}", COLUMNS, rows, f"python benchmarks/network.py --rendered {size}", formats)
+    command = f"python benchmarks/network.py --rendered {size}"
+    save_table(f"network-rendered-{size}", COLUMNS, rows, command, formats, machine=machines(FOLDER))

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from coarse_pairs.parts import SURFACES
 from render_tables import save_table
-from shared.cells import Rows, read_rows
+from shared.cells import Rows, machines, read_rows
 
 FOLDER = "refine"
 #: Textures by their grain: name and least.
@@ -39,7 +39,8 @@ def save_tables() -> None:
 
 
 def _save(name: str, columns: dict[str, str], table: Rows, study: str, formats: dict[str, str]) -> None:
-    save_table(f"refine-{name}", columns, table, f"{COMMAND} {study}", formats)
+    machine = machines(FOLDER, f"{study.split()[0]}_*")
+    save_table(f"refine-{name}", columns, table, f"{COMMAND} {study}", formats, machine=machine)
     print(*table, sep="\n")
 
 

@@ -83,5 +83,11 @@ def read_rows(folder: str) -> Rows:
     return [row for cell in read_cells(folder) for row in cell["rows"]]
 
 
+def machines(folder: str, cells: str = "*") -> str:
+    """Return where the cells of a folder were computed, in words; `cells` is a pattern of their names."""
+    read = (json.loads(path.read_text(encoding="utf-8")) for path in (RESULTS / folder).glob(f"{cells}.json"))
+    return "; ".join(sorted({cell["machine"] for cell in read}))
+
+
 def _path(folder: str, name: str) -> Path:
     return RESULTS / folder / f"{name}.json"
