@@ -1,6 +1,8 @@
 """Files of measurements and JSON: nothing lost, nothing half written, damaged files refused by name."""
 
+import errno
 import json
+import mmap
 from dataclasses import dataclass, field, fields, replace
 
 import h5py
@@ -84,6 +86,42 @@ def test_the_maps_of_a_measurement_lie_in_the_file_that_was_read(tmp_path):
 @dataclass(frozen=True)
 class Numbers:
     values: np.ndarray
+
+
+def lies_in_a_mapping(array):
+    while isinstance(array.base, np.ndarray):
+        array = array.base
+    return isinstance(array.base, memoryview) and isinstance(array.base.obj, mmap.mmap)
+
+
+def without_mapping(*_, **__):
+    raise OSError(errno.ENODEV, "No such device")
+
+
+@pytest.mark.parametrize(("count", "mapped"), [(2 * 2**20 - 2000, False), (2 * 2**20, True)])
+def test_large_files_are_mapped_and_small_ones_read(tmp_path, count, mapped):
+    values = np.arange(count, dtype=float)
+    storage.save(tmp_path / "n.h5", Numbers(values), "numbers")
+    loaded = storage.load(tmp_path / "n.h5", Numbers, "numbers").values
+    np.testing.assert_array_equal(loaded, values)
+    assert lies_in_a_mapping(loaded) == mapped
+    with pytest.raises(ValueError, match="read-only"):
+        loaded[0] = 1
+
+
+def test_large_files_on_a_drive_that_cannot_map_are_read(tmp_path, monkeypatch):
+    values = np.arange(2 * 2**20, dtype=float)
+    storage.save(tmp_path / "n.h5", Numbers(values), "numbers")
+    monkeypatch.setattr(mmap, "mmap", without_mapping)
+    np.testing.assert_array_equal(storage.load(tmp_path / "n.h5", Numbers, "numbers").values, values)
+
+
+def test_a_mapped_file_may_be_replaced_while_its_values_are_in_use(tmp_path):
+    values = np.arange(2 * 2**20, dtype=float)
+    storage.save(tmp_path / "n.h5", Numbers(values), "numbers")
+    loaded = storage.load(tmp_path / "n.h5", Numbers, "numbers").values
+    storage.save(tmp_path / "n.h5", Numbers(np.zeros(3)), "numbers")
+    np.testing.assert_array_equal(loaded, values)
 
 
 @pytest.mark.parametrize(

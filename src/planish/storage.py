@@ -1,8 +1,8 @@
 """One mechanism to save and load the frozen dataclasses that pass between stages: one HDF5 file each.
 
 Arrays become datasets, other values attributes, nested objects groups, units attributes. A file is written under a
-temporary name and renamed when whole, so an interrupted run never leaves half a file under a valid name. It is read
-into memory as a whole, and the arrays that come from it lie there.
+temporary name and renamed when whole, so an interrupted run never leaves half a file under a valid name. It is mapped
+or read into memory as a whole, and the arrays that come from it lie there, not to be written to.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import functools
 import hashlib
 import io
 import json
+import mmap
 import os
 import types
 import typing
@@ -31,6 +32,8 @@ T = TypeVar("T")
 #: Bytes of a file.
 Content = NDArray[np.uint8]
 
+#: Files of so many bytes are mapped: measurements are, not the many small ones, of which each would stay open.
+_MAPPED_BYTES = 16 * 2**20
 #: Marks a field that holds None (HDF5 has no such value).
 _NONE = "planish: none"
 #: Arrays of at least so many bytes begin at multiples of the other number, so that they can be used where they lie.
@@ -74,10 +77,25 @@ def read_json(path: Path) -> dict[str, Any]:
 def content_of(file: IO[bytes]) -> Content:
     """Return what an open file holds from its beginning, whatever has been read of it."""
     size = file.seek(0, io.SEEK_END)
+    if size >= _MAPPED_BYTES:
+        # Where a file cannot be mapped, as on some network drives, it is read.
+        with contextlib.suppress(OSError, ValueError):
+            return _mapped(file)
     file.seek(0)
     content = np.empty(size, np.uint8)
     # A file may end sooner than it said, where something else is writing it.
-    return content[: file.readinto(content)]  # type: ignore[attr-defined]
+    content = content[: file.readinto(content)]  # type: ignore[attr-defined]
+    content.flags.writeable = False
+    return content
+
+
+def _mapped(file: IO[bytes]) -> Content:
+    """Return the file itself as memory: no copy, and the system may take back what is not in use."""
+    content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    if hasattr(mmap, "MADV_WILLNEED"):
+        # The whole file is asked for at once, not page by page as it is looked at.
+        content.madvise(mmap.MADV_WILLNEED)
+    return np.frombuffer(content, np.uint8)
 
 
 def read_content(path: Path, schema: str) -> Content:

@@ -76,7 +76,7 @@ def look_at(path: Path, threads: int) -> Source:
     """Return what a run needs to know of a measurement file before it starts."""
     if not path.is_file():
         raise InputError(path, "no such file", "a measurement written by `planish measure`")
-    # One reading for both: what is measured is what is named by its hash.
+    # One content for both: what is measured is what is named by its hash.
     found, content = path.stat(), storage.read_content(path, SCHEMA)
     sha256 = hashlib.sha256(content.data).hexdigest()
     m = RECENT.get(("measurement", sha256), lambda: Measurement.of_content(content, path))
