@@ -51,13 +51,17 @@ class Bound:
     information: Array
     covariance: Array
 
-    def errors_mm(self, points_a: Array, normals_a: Array, about: Array) -> tuple[float, float]:
-        """Return the least error along the surface and along its normal over points (N, 3), root mean square [mm]."""
-        G = rigid(points_a - about)
-        along_normal = np.einsum("ni,nik->nk", normals_a, G)
-        total = np.einsum("nik,kl,nil->n", G, self.covariance, G).mean()
-        normal = np.einsum("nk,kl,nl->n", along_normal, self.covariance, along_normal).mean()
-        return float(np.sqrt(total - normal)), float(np.sqrt(normal))
+
+def errors_mm(covariance: Array, points_a: Array, normals_a: Array, about: Array) -> tuple[float, float]:
+    """Return the expected error along the surface and along its normal over points (N, 3), root mean square [mm].
+
+    `covariance` (6, 6) is that of xi = [rotation, translation mm] at the point `about`.
+    """
+    G = rigid(points_a - about)
+    along_normal = np.einsum("ni,nik->nk", normals_a, G)
+    total = np.einsum("nik,kl,nil->n", G, covariance, G).mean()
+    normal = np.einsum("nk,kl,nl->n", along_normal, covariance, along_normal).mean()
+    return float(np.sqrt(total - normal)), float(np.sqrt(normal))
 
 
 def pair_bound(a: TrueView, b: TrueView, T_a_b: Array, about: Array) -> Bound:

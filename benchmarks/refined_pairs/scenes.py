@@ -12,7 +12,7 @@ import numpy as np
 
 from coarse_pairs.parts import measure_part
 from planish.geometry import difference, transform_points
-from refined_pairs.bound import pair_bound
+from refined_pairs.bound import errors_mm, pair_bound
 from refined_pairs.pairs import KINDS, draw_pair
 from refined_pairs.run import KnownPair, known_pairs, moved
 from refined_pairs.true_view import true_view
@@ -43,7 +43,11 @@ def run_pair(kind: str, number: int, starts: int) -> Rows:
     scene = part.scene()
     views = [true_view(scene, i, measured[i].valid) for i in (case.first, case.second)]
     bound = pair_bound(*views, pair.T_a_b, pair.centre)
-    row["bound_along_mm"], row["bound_normal_mm"] = bound.errors_mm(*_surface_a(pair), pair.centre)
+    surface = _surface_a(pair)
+    row["bound_along_mm"], row["bound_normal_mm"] = errors_mm(bound.covariance, *surface, pair.centre)
+    if result.covariance_noise is not None and result.covariance_point_mm is not None:
+        stated = errors_mm(result.covariance_noise, *surface, result.covariance_point_mm)
+        row["stated_along_mm"], row["stated_normal_mm"] = stated
     xi = difference(pair.T_a_b, result.T_a_b, pair.centre)
     row["squares_over_bound"] = float(xi @ bound.information @ xi)
     return [row | _converged(pair, kind, number, result.T_a_b, starts)]

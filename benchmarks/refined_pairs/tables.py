@@ -86,6 +86,7 @@ def _efficiency(rows: Rows) -> None:
         along, along_95 = _percentiles(of_it, "along_mm")
         table.append({
             "kind": kind, "pairs": len(of_it), "along": along, "along_95": along_95,
+            "stated": _percentiles(of_it, "stated_along_mm")[0],
             "bound": _percentiles(of_it, "bound_along_mm")[0], "normal": _percentiles(of_it, "normal_mm")[0],
             "bound_normal": _percentiles(of_it, "bound_normal_mm")[0],
             "efficiency": _ratio_of_squares(of_it, "bound_along_mm", "along_mm"),
@@ -94,11 +95,11 @@ def _efficiency(rows: Rows) -> None:
         })  # fmt: skip
     columns = {
         "kind": "scene, grain [%]", "pairs": "pairs", "along": "along, median [mm]", "along_95": "95 % [mm]",
-        "bound": "least possible, median [mm]", "normal": "normal, median [mm]",
+        "stated": "stated sigma, median [mm]", "bound": "least possible, median [mm]", "normal": "normal, median [mm]",
         "bound_normal": "least possible, median [mm]", "efficiency": "efficiency along", "efficiency_normal": "normal",
         "typical": "of the typical pair, all six directions",
     }  # fmt: skip
-    formats = dict.fromkeys(("along", "along_95", "bound", "normal", "bound_normal"), ".4f")
+    formats = dict.fromkeys(("along", "along_95", "stated", "bound", "normal", "bound_normal"), ".4f")
     formats |= dict.fromkeys(("efficiency", "efficiency_normal", "typical"), ".2f")
     _save("efficiency", columns, table, "scenes", formats)
 
