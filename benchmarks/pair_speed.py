@@ -13,10 +13,12 @@ from __future__ import annotations
 import argparse
 import os
 import tempfile
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from time import process_time
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -42,6 +44,9 @@ from planish.simulation.scenes import make_scene
 from render_tables import save_table
 from shared.rendered import measure_scene
 from shared.timing import timed
+
+Row = dict[str, Any]
+Value = TypeVar("Value")
 
 KEYPOINTS, DENSITY = 5000, 2.0
 #: Grey levels per robust deviation of the texture, and SIFT's contrast threshold, with which it finds most.
@@ -93,6 +98,60 @@ def overlap(a: Prepared, b: Prepared, T_a_b: np.ndarray, threads: int) -> Overla
     return evaluate_overlap(*sides, T_a_b, threads=threads)
 
 
+def on_threads(function: Callable[[int], Value], runs: int) -> tuple[Row, Value]:
+    """Return the processor time in one thread, the time on the clock with two, and what the call returned."""
+    seconds, found = timed(lambda: function(1), runs, process_time)
+    return {"seconds": seconds, "wall": timed(lambda: function(2), runs)[0]}, found
+
+
+def texture_rows(a: Measurement, options: RegisterOptions, pitch_mm: float, runs: int) -> Iterator[Row]:
+    """Yield the times from a measurement with its surface to keypoints."""
+    surface = fit_surface(a, options.surface, 1)
+    contrast_s, contrast = timed(lambda: local_contrast(a, options.photometric, surface, threads=1), runs, process_time)
+    drawing_s, images = timed(
+        lambda: texture_images(a, surface, contrast, pitch_mm, plan_charts(a, surface, options.charts)),
+        runs, process_time,
+    )  # fmt: skip
+    both_wall_s, _ = timed(lambda: draw_on_surface(a, surface, pitch_mm, options, 2), runs)
+    yield {"what": "local contrast", "seconds": contrast_s}
+    yield {"what": "texture images", "seconds": drawing_s}
+    yield {"what": "both (a texture from a measurement)", "seconds": contrast_s + drawing_s, "wall": both_wall_s,
+           "limit": 0.08}  # fmt: skip
+    keypoints_s, _ = timed(lambda: detect_keypoints(images, options.keypoints), runs, process_time)
+    greys = [grey_image(image) for image in images]
+    sift = cv2.SIFT.create(KEYPOINTS, contrastThreshold=SIFT_CONTRAST)
+    sift_s, _ = timed(lambda: [sift.detectAndCompute(g, None) for g in greys], runs, process_time)
+    yield {"what": "keypoints", "seconds": keypoints_s, "peer": "OpenCV SIFT, same images",
+           "ratio": keypoints_s / sift_s}  # fmt: skip
+
+
+def matching_rows(first: Prepared, second: Prepared, options: RegisterOptions, runs: int) -> Iterator[Row]:
+    """Yield the times from keypoints to a coarse transform."""
+    sides = [PatchSide(p.keypoints, p.images, p.patches) for p in (first, second)]
+    matching_s, matches = timed(lambda: match(*sides, options.match, 1), runs, process_time)
+    consensus_s, _ = timed(lambda: find_consensus(matches, options.consensus, 1), runs, process_time)
+    wall_s, _ = timed(lambda: find_consensus(match(*sides, options.match, 2), options.consensus, 2), runs)
+    words = [np.asarray(p.keypoints.descriptors, np.float32) for p in (first, second)]
+    matcher = cv2.BFMatcher(cv2.NORM_L2)
+    brute_s, _ = timed(lambda: matcher.knnMatch(*words, k=2), runs, process_time)
+    n = min(len(first.keypoints), len(second.keypoints))
+    yield {"what": f"matching ({n} keypoints)", "seconds": matching_s, "peer": "OpenCV brute force, ratio test only",
+           "ratio": matching_s / brute_s}  # fmt: skip
+    yield {"what": f"consensus ({len(matches)} matches)", "seconds": consensus_s}
+    yield {"what": "matching and consensus", "seconds": matching_s + consensus_s, "wall": wall_s, "limit": 0.15}
+
+
+def pair_rows(first: Prepared, second: Prepared, options: RegisterOptions, runs: int) -> Iterator[Row]:
+    """Yield the times of refinement and evaluation, and of the whole pair."""
+    pair, result = on_threads(lambda threads: register_pair(first, second, options, 1, threads), runs)
+    refinement, T_a_b = on_threads(lambda threads: refined_again(first, second, result, options, threads), runs)
+    evaluated, _ = on_threads(lambda threads: overlap(first, second, T_a_b, threads), runs)
+    yield {"what": "refinement"} | refinement
+    yield {"what": "evaluation of the overlap"} | evaluated
+    yield {"what": "both", "limit": 0.1} | {key: refinement[key] + evaluated[key] for key in refinement}
+    yield {"what": f"the whole pair, refinement included ({result.status})"} | pair
+
+
 @kept_memory()
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -103,51 +162,11 @@ def main() -> None:
     a, b = measured_pair()
     options = RegisterOptions.model_validate({"keypoints": {"max_keypoints": KEYPOINTS}})
     options, pitch = options.scaled(length_factor(common_gsd([a, b]))), common_pitch([a, b])
-    surface = fit_surface(a, options.surface, 1)
-    contrast_s, contrast = timed(lambda: local_contrast(a, options.photometric, surface, threads=1), runs, process_time)
-    drawing_s, images = timed(
-        lambda: texture_images(a, surface, contrast, pitch, plan_charts(a, surface, options.charts)), runs, process_time
-    )
-    keypoints_s, _ = timed(lambda: detect_keypoints(images, options.keypoints), runs, process_time)
-    greys = [grey_image(image) for image in images]
-    sift = cv2.SIFT.create(KEYPOINTS, contrastThreshold=SIFT_CONTRAST)
-    sift_s, _ = timed(lambda: [sift.detectAndCompute(g, None) for g in greys], runs, process_time)
+    rows = list(texture_rows(a, options, pitch, runs))
     first, second = (prepare(m, pitch, options, 1) for m in (a, b))
-    sides = [PatchSide(p.keypoints, p.images, p.patches) for p in (first, second)]
-    matching_s, matches = timed(lambda: match(*sides, options.match, 1), runs, process_time)
-    consensus_s, _ = timed(lambda: find_consensus(matches, options.consensus, 1), runs, process_time)
-
-    texture_wall_s, _ = timed(lambda: draw_on_surface(a, surface, pitch, options, 2), runs)
-    matching_wall_s, _ = timed(lambda: find_consensus(match(*sides, options.match, 2), options.consensus, 2), runs)
-    pair_s, result = timed(lambda: register_pair(first, second, options, 1, 1), runs, process_time)
-    pair_wall_s, _ = timed(lambda: register_pair(first, second, options, 1, 2), runs)
-    refinement_s, refined = timed(lambda: refined_again(first, second, result, options, 1), runs, process_time)
-    refinement_wall_s, _ = timed(lambda: refined_again(first, second, result, options, 2), runs)
-    overlap_s, _ = timed(lambda: overlap(first, second, refined, 1), runs, process_time)
-    overlap_wall_s, _ = timed(lambda: overlap(first, second, refined, 2), runs)
-    matcher = cv2.BFMatcher(cv2.NORM_L2)
-    words = [np.asarray(p.keypoints.descriptors, np.float32) for p in (first, second)]
-    brute_s, _ = timed(lambda: matcher.knnMatch(*words, k=2), runs, process_time)
-    n = min(len(first.keypoints), len(second.keypoints))
+    rows += [*matching_rows(first, second, options, runs), *pair_rows(first, second, options, runs)]
     memory = worker_memory(a, b, options, pitch)
-    rows = [
-        {"what": "local contrast", "seconds": contrast_s},
-        {"what": "texture images", "seconds": drawing_s},
-        {"what": "both (a texture from a measurement)", "seconds": contrast_s + drawing_s,
-         "wall": texture_wall_s, "limit": 0.08},
-        {"what": "keypoints", "seconds": keypoints_s, "peer": "OpenCV SIFT, same images",
-         "ratio": keypoints_s / sift_s},
-        {"what": f"matching ({n} keypoints)", "seconds": matching_s, "peer": "OpenCV brute force, ratio test only",
-         "ratio": matching_s / brute_s},
-        {"what": f"consensus ({len(matches)} matches)", "seconds": consensus_s},
-        {"what": "matching and consensus", "seconds": matching_s + consensus_s, "wall": matching_wall_s, "limit": 0.15},
-        {"what": "refinement", "seconds": refinement_s, "wall": refinement_wall_s},
-        {"what": "evaluation of the overlap", "seconds": overlap_s, "wall": overlap_wall_s},
-        {"what": "both", "seconds": refinement_s + overlap_s, "wall": refinement_wall_s + overlap_wall_s,
-         "limit": 0.1},
-        {"what": f"the whole pair, refinement included ({result.status})", "seconds": pair_s, "wall": pair_wall_s},
-        {"what": "peak memory of a worker that registers the pair", "memory": memory, "limit": 1024.0},
-    ]  # fmt: skip
+    rows.append({"what": "peak memory of a worker that registers the pair", "memory": memory, "limit": 1024.0})
     print(*rows, sep="\n")
     columns = {
         "what": "stage, one thread", "seconds": "processor time [s]",

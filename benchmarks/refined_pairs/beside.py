@@ -38,7 +38,7 @@ RUNS = 3
 SPAN = (1.0, 99.0)
 
 
-def run_pair(kind: str, number: int, peers: str | None, methods: tuple[str, ...] = PEERS) -> Rows:
+def run_pair(kind: str, number: int, peers: str | None, methods: tuple[str, ...]) -> Rows:
     """Return one record per method and settings; `methods` are those of the peers."""
     part, case = draw_pair(kind, number)
     measured = measure_part(part)
